@@ -1,0 +1,12 @@
+// Each bindings/*.cc binds one subject of the core; core.cc calls them all.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace covinz {
+
+void BindLoopGeometry(nanobind::module_& m);
+void BindPlaceRecognition(nanobind::module_& m);
+void BindPoseGraph(nanobind::module_& m);
+
+}  // namespace covinz

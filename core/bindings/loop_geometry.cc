@@ -1,0 +1,7 @@
+#include "bindings.h"
+
+namespace covinz {
+
+void BindLoopGeometry(nanobind::module_&) {}
+
+}  // namespace covinz

@@ -1,0 +1,7 @@
+#include "bindings.h"
+
+namespace covinz {
+
+void BindPlaceRecognition(nanobind::module_&) {}
+
+}  // namespace covinz

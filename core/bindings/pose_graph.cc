@@ -1,0 +1,7 @@
+#include "bindings.h"
+
+namespace covinz {
+
+void BindPoseGraph(nanobind::module_&) {}
+
+}  // namespace covinz

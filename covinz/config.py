@@ -1,0 +1,283 @@
+"""Every default of covinz on one page, with unit and source.
+
+Precedence: default < YAML file < environment (``COVINZ__OPTIMIZER__CAUCHY_SCALE=2``). You do not
+need a configuration file; ``python -m covinz.config`` prints the values in force.
+
+Sources: [paper III-B2] is COVINS-G; [public code] are the defaults of its released
+implementation; [measured] is explained in the decision or document named.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field
+
+PositiveInt = Annotated[int, Field(gt=0)]
+Count = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+M = TypeVar("M", bound=BaseModel)
+
+
+class ConfigError(ValueError):
+    """A configuration or scenario file that cannot be used; the message says where and why."""
+
+
+class Section(BaseModel):
+    """Base of every section: frozen, and unknown keys are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class BusConfig(Section):
+    """The Zenoh session of every process."""
+
+    # Where the router listens and everyone else connects.
+    endpoint: str = "tcp/127.0.0.1:7447"
+    # Larger messages are refused by the transport. [decision 0002]
+    max_message_bytes: PositiveInt = 16 * 1024 * 1024
+    # A query without an answer fails after this long. [s]
+    query_timeout_s: Positive = 10.0
+
+
+class IngestConfig(Section):
+    """The keyframe log."""
+
+    # An upload larger than this is rejected; 1,000 ORB are 36 kB. [bytes]
+    max_upload_bytes: PositiveInt = 1024 * 1024
+    # A keyframe with more features is rejected.
+    max_features: PositiveInt = 8192
+    # Keyframes committed and acked together (group commit).
+    max_batch: PositiveInt = 64
+    # A page of the log ends at this size. [bytes; DESIGN 1]
+    page_bytes: PositiveInt = 1024 * 1024
+    # Uploads waiting for a commit; beyond it agents are told to retry.
+    inbox: PositiveInt = 256
+    # What an agent is told to wait when the inbox is full. [s]
+    retry_after_s: Positive = 0.5
+
+
+class PlaceRecognitionConfig(Section):
+    """Candidates for loops. Guards depend on the log alone, never on outcomes."""
+
+    # Vocabulary file; relative to the checkout.
+    vocabulary: Path = Path("vocabulary/orb_10k.bin")
+    # Rank by verified votes, or by the paper's DBoW2 tf-idf score. [measured: decision 0004]
+    score: Literal["votes", "tf_idf"] = "votes"
+    # Two descriptors of one word vote for each other up to this Hamming distance. [measured]
+    max_hamming: PositiveInt = 40
+    # Candidates passed on per keyframe. [measured: about five]
+    num_candidates: PositiveInt = 5
+    # A candidate needs this score: idf-weighted votes, or tf-idf in [0, 1].
+    min_score: NonNegative = 10.0
+    # Candidates need this share of the query's best score. [public code: 0.75 retain rule]
+    min_score_ratio: Annotated[float, Field(ge=0, le=1)] = 0.25
+    # The first keyframes of a session are neither queries ... [public code: start_after_kf 7]
+    start_after_keyframes: Count = 0
+    # ... nor candidates. [public code: exclude_kfs_with_id_less_than 7]
+    exclude_first_keyframes: Count = 0
+    # Candidates of the query's own session are at least so far away along the session, in
+    # keyframes [public code: min_loop_dist 100], ...
+    min_loop_keyframes: Count = 20
+    # ... seconds ...
+    min_loop_s: NonNegative = 5.0
+    # ... and metres of path.
+    min_loop_m: NonNegative = 0.0
+    # After a query that gave candidates the session's next keyframes are not queried: keyframes
+    # [public code: consecutive_loop_dist 10, there after an accepted loop], ...
+    query_spacing_keyframes: Count = 0
+    # ... seconds ...
+    query_spacing_s: NonNegative = 0.0
+    # ... and metres of path.
+    query_spacing_m: NonNegative = 0.0
+    # Candidates only from other agents. [public code: inter_map_matches_only]
+    other_agents_only: bool = False
+    # A candidate counts only if a neighbour of it (within this many keyframes) was a candidate
+    # of each of so many queries before. 0 switches it off. [public code: 3]
+    consistent_queries: Count = 0
+    # A lease ends after this long without an outcome. [s]
+    lease_s: Positive = 60.0
+    # So many failed leases and the job goes to the dead-letter list. [DESIGN 1]
+    max_attempts: PositiveInt = 3
+    # How long a worker's request for a job is held open. [s]
+    long_poll_s: Positive = 5.0
+
+
+class MatchingConfig(Section):
+    """Descriptor matching between two images."""
+
+    # Best distance below this share of the second best. [public code: ratio_thres 0.8]
+    max_ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
+    # ORB: largest Hamming distance. [public code: img_match_thres 40 is stricter]
+    max_hamming: PositiveInt = 64
+    # Keep a match only if it is the best in both directions. [DESIGN 5]
+    mutual: bool = True
+
+
+class LoopSolverConfig(Section):
+    """Verification of one candidate, profile `paper`. Part of the identity of a job."""
+
+    profile: Literal["paper"] = "paper"
+    matching: MatchingConfig = MatchingConfig()
+    # Inliers of the five-point RANSAC in each of the six pairs. [paper III-B2: 30]
+    min_pair_inliers: PositiveInt = 30
+    # Inliers of the 17-point RANSAC. [paper III-B2: 100]
+    min_rig_inliers: PositiveInt = 100
+    # Inlier threshold, in pixels of the actual camera. [docs/paper.md]
+    max_error_px: Positive = 2.0
+    # Five-point RANSAC iterations per pair.
+    max_pair_iterations: PositiveInt = 1000
+    # 17-point RANSAC iterations. [public code: 4000]
+    max_rig_iterations: PositiveInt = 4000
+    # Probability of having drawn a sample without outliers. [OpenGV's default]
+    confidence: Annotated[float, Field(gt=0, lt=1)] = 0.99
+    # 17-point solves on random inliers for the covariance. [public code: 30]
+    num_covariance_samples: PositiveInt = 30
+
+
+class WorkerConfig(Section):
+    """A loop-solver process; nothing here changes an outcome."""
+
+    # Keyframes kept in memory (LRU); 36 kB each.
+    cache_keyframes: PositiveInt = 1024
+
+
+class OdometryNoise(Section):
+    """Expected accuracy of a front-end: random-walk sigmas. [paper III-C]"""
+
+    # Rotation per square root of metre travelled. [rad / sqrt(m)]
+    rotation_per_sqrt_m: NonNegative = 0.01
+    # Rotation per square root of radian turned. [rad / sqrt(rad)]
+    rotation_per_sqrt_rad: NonNegative = 0.02
+    # Translation per square root of metre travelled. [m / sqrt(m)]
+    translation_per_sqrt_m: NonNegative = 0.03
+    # Translation per square root of radian turned. [m / sqrt(rad)]
+    translation_per_sqrt_rad: NonNegative = 0.03
+    # Floor of every odometry edge: rotation. [rad]
+    min_rotation: Positive = 0.002
+    # Floor of every odometry edge: translation. [m]
+    min_translation: Positive = 0.003
+
+
+class OptimizerConfig(Section):
+    """The pose graph: equation (1) of the paper."""
+
+    # Odometry edges to this many predecessors. [paper III-C: q = 4]
+    num_odometry_neighbours: PositiveInt = 4
+    # Scale of the Cauchy loss on loop edges, in sigmas. [public code: 0.5, reviewers: 1-3]
+    cauchy_scale: Positive = 1.0
+    # Levenberg-Marquardt iterations.
+    max_iterations: PositiveInt = 100
+    # Accuracy of front-ends that send no covariance.
+    odometry: OdometryNoise = OdometryNoise()
+    # The same for single agents.
+    odometry_of: Mapping[str, OdometryNoise] = {}
+    # New keyframes alone start an optimisation after this long without other events. [s]
+    settle_s: Positive = 1.0
+    # A correction that moves further than this since the last one is marked as a jump. [m]
+    jump_m: Positive = 0.1
+    # The same for rotation. [rad]
+    jump_rad: Positive = 0.05
+
+
+class AgentConfig(Section):
+    """A robot's side of the upload."""
+
+    # Uploads under way at once. [measured: 2-4]
+    window: PositiveInt = 4
+    # The spool drops its oldest keyframes beyond this size and reports a gap. [bytes]
+    max_spool_bytes: PositiveInt = 1024 * 1024 * 1024
+    # An upload without an answer is sent again after this long. [s]
+    ack_timeout_s: Positive = 10.0
+    # Back-off between failed attempts grows from ... [s]
+    min_backoff_s: Positive = 0.1
+    # ... to this. [s]
+    max_backoff_s: Positive = 5.0
+
+
+class KeyframeSelectionConfig(Section):
+    """A keyframe is due when the odometry moved this far since the last one."""
+
+    # [m; public code: t_min 0.15]
+    translation_m: Positive = 0.15
+    # [rad; public code: r_min 0.15]
+    rotation_rad: Positive = 0.15
+
+
+class FeatureConfig(Section):
+    """ORB on a grid, so that features cover the image."""
+
+    # [paper: 1,000 ORB]
+    num_features: PositiveInt = 1000
+    # Grid cells along the image's width and height. [rendering study: 8 x 6]
+    grid: tuple[PositiveInt, PositiveInt] = (8, 6)
+    # Pyramid. [public code: 1.2, 8 levels]
+    scale_factor: Annotated[float, Field(gt=1)] = 1.2
+    num_levels: PositiveInt = 8
+    # FAST threshold, and the one tried in cells that stay empty. [public code: 20, 7]
+    fast_threshold: PositiveInt = 20
+    min_fast_threshold: PositiveInt = 7
+
+
+class Config(Section):
+    """All sections."""
+
+    bus: BusConfig = BusConfig()
+    ingest: IngestConfig = IngestConfig()
+    place_recognition: PlaceRecognitionConfig = PlaceRecognitionConfig()
+    loop_solver: LoopSolverConfig = LoopSolverConfig()
+    worker: WorkerConfig = WorkerConfig()
+    optimizer: OptimizerConfig = OptimizerConfig()
+    agent: AgentConfig = AgentConfig()
+
+
+def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:
+    """Read the configuration: defaults, then the file, then ``COVINZ__SECTION__FIELD``.
+
+    Raises:
+        ConfigError: If the file cannot be read or a value is unknown or out of range.
+    """
+    values = read_yaml(path) if path is not None else {}
+    for name, text in sorted((os.environ if environ is None else environ).items()):
+        if name.startswith("COVINZ__"):
+            _assign(values, name.removeprefix("COVINZ__").lower().split("__"), text)
+    return validate(Config, values, str(path or "environment"))
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping; raises ConfigError when there is none."""
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{path}: expected a mapping of names to values")
+    return values
+
+
+def validate(model: type[M], values: Mapping[str, Any], origin: str) -> M:
+    """Build `model` from `values`; raises ConfigError naming every bad entry."""
+    try:
+        return model.model_validate(values)
+    except ValueError as error:
+        raise ConfigError(f"{origin}: {error}") from error
+
+
+def _assign(values: dict[str, Any], path: list[str], text: str) -> None:
+    for key in path[:-1]:
+        values = values.setdefault(key, {})
+        if not isinstance(values, dict):
+            raise ConfigError(f"{'.'.join(path)}: {key} is not a section")
+    values[path[-1]] = yaml.safe_load(text)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(yaml.safe_dump(load().model_dump(mode="json"), sort_keys=False))
