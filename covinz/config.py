@@ -149,7 +149,7 @@ class WorkerConfig(Section):
 
 
 class OdometryNoise(Section):
-    """Expected accuracy of a front-end: random-walk sigmas. [paper III-C]"""
+    """Expected accuracy of a front-end as random-walk sigmas; source: paper III-C."""
 
     # Rotation per square root of metre travelled. [rad / sqrt(m)]
     rotation_per_sqrt_m: NonNegative = 0.01
