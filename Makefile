@@ -1,0 +1,88 @@
+# Targets: setup check test lint bench demo schemas vocabulary. All but `setup` run it first.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMPS := .setup
+JOBS ?= 2
+
+CORE_SOURCES := $(shell find core -path core/build -prune -o -type f -print)
+PYTHON_DIRS := covinz services agents/covinz_agents benchmarks tests vocabulary schemas
+
+# One thread for linear algebra in every process: the machine's cores belong to the workers.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: setup check test lint bench demo schemas vocabulary core-tests core-sanitize clean
+
+setup: $(STAMPS)/apt $(STAMPS)/venv $(STAMPS)/core $(STAMPS)/packages
+
+$(STAMPS)/apt: apt-packages.txt
+	@mkdir -p $(STAMPS)
+	@missing=""; for p in $$(cat apt-packages.txt); do \
+	  dpkg-query -W -f '$${Status}' $$p 2>/dev/null | grep -q 'ok installed' || missing="$$missing $$p"; \
+	done; \
+	if [ -n "$$missing" ]; then \
+	  if [ "$$(id -u)" = 0 ]; then run=""; \
+	  elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then run="sudo"; \
+	  else echo "These packages are missing and need root to install:$$missing" >&2; \
+	    echo "Ask an administrator for: apt-get install$$missing" >&2; exit 1; fi; \
+	  $$run apt-get update -qq && \
+	  DEBIAN_FRONTEND=noninteractive $$run apt-get install -y -qq --no-install-recommends $$missing; \
+	fi
+	@touch $@
+
+$(STAMPS)/venv: requirements.txt | $(STAMPS)/apt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "covinz needs Python 3.11 or newer; set PYTHON=/path/to/python3.11" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -r requirements.txt
+	@touch $@
+
+$(STAMPS)/core: $(CORE_SOURCES) | $(STAMPS)/venv
+	CMAKE_BUILD_PARALLEL_LEVEL=$(JOBS) $(BIN)/python -m pip install --quiet --no-build-isolation --no-deps ./core
+	@touch $@
+
+$(STAMPS)/packages: pyproject.toml agents/pyproject.toml | $(STAMPS)/venv
+	$(BIN)/python -m pip install --quiet --no-build-isolation --no-deps -e . -e agents
+	@touch $@
+
+# The fast suite.
+check: setup
+	$(BIN)/python -m pytest -q -m "not slow" tests/unit tests/contract
+
+# Everything: lint, the core's tests with and without sanitizers, and all Python tests.
+test: lint core-tests core-sanitize
+	$(BIN)/python -m pytest tests
+
+lint: setup
+	$(BIN)/ruff check $(PYTHON_DIRS)
+	$(BIN)/ruff format --check $(PYTHON_DIRS)
+	$(BIN)/mypy covinz services agents/covinz_agents
+	$(BIN)/lint-imports
+	find core -path core/build -prune -o \( -name '*.cc' -o -name '*.h' \) -print | xargs clang-format --dry-run -Werror
+
+core-tests: setup
+	cmake -S core -B core/build/tests -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF >/dev/null
+	cmake --build core/build/tests -j $(JOBS)
+	ctest --test-dir core/build/tests --output-on-failure -j $(JOBS)
+
+core-sanitize: setup
+	cmake -S core -B core/build/sanitize -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF -DCOVINZ_SANITIZE=ON >/dev/null
+	cmake --build core/build/sanitize -j $(JOBS)
+	ctest --test-dir core/build/sanitize --output-on-failure -j $(JOBS)
+
+bench: setup
+	@for script in benchmarks/*.py; do echo "$$script"; $(BIN)/python $$script || exit 1; done
+
+demo: setup
+	$(BIN)/covinz run scenarios/simulated.yaml
+
+schemas: setup
+	$(BIN)/python schemas/generate.py
+
+vocabulary: setup
+	$(BIN)/python vocabulary/train.py
+
+clean:
+	rm -rf $(VENV) $(STAMPS) core/build build runs
