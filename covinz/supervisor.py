@@ -1,0 +1,208 @@
+"""The server's processes as children of one command: started, restarted when they die, stopped.
+
+Each child has one thread that waits for its end. A child that ends without being asked is started
+again, at once if it had been up for a while and with growing pauses if not, so that no crash needs
+a human. Children die with the command even if that is killed (Linux).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+log = logging.getLogger(__name__)
+
+PR_SET_PDEATHSIG = 1
+STABLE_AFTER_S = 5.0
+MIN_PAUSE_S = 0.1
+MAX_PAUSE_S = 5.0
+STOP_GRACE_S = 10.0
+
+_libc = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
+
+
+class ServicesNotFound(RuntimeError):
+    """The server's services are not here: covinz was installed without a checkout or image."""
+
+
+@dataclass(frozen=True)
+class ProcessSpec:
+    """One process to keep running: a name unique in the supervisor, and its command line."""
+
+    name: str
+    argv: tuple[str, ...]
+
+
+def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpec]:
+    """The server: router, ingest, place_recognition, optimizer and `workers` loop solvers.
+
+    Raises:
+        ServicesNotFound: If this covinz was installed without them.
+    """
+    if not (checkout() / "services").is_dir():
+        raise ServicesNotFound(
+            "the server's services were not found: run covinz from a checkout (or the image); "
+            "a pip-installed covinz is for robots"
+        )
+    names = ["router", "ingest", "place_recognition", "optimizer"]
+    instances = [(name, name) for name in names]
+    instances += [("loop_solver", f"loop_solver-{i}") for i in range(workers)]
+    return [
+        ProcessSpec(
+            instance,
+            (
+                *(sys.executable, "-m", f"services.{service}"),
+                *("--config", str(config_file), "--data", str(data), "--id", instance),
+            ),
+        )
+        for service, instance in instances
+    ]
+
+
+def checkout() -> Path:
+    """Folder that holds the package `services`, where children are started."""
+    return Path(__file__).resolve().parent.parent
+
+
+def child_environment() -> dict[str, str]:
+    """Environment of a child: one thread for linear algebra, unbuffered output."""
+    env = dict(os.environ, PYTHONUNBUFFERED="1")
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        env.setdefault(name, "1")
+    paths = [str(checkout()), *filter(None, [env.get("PYTHONPATH")])]
+    env["PYTHONPATH"] = os.pathsep.join(paths)
+    return env
+
+
+class Supervisor:
+    """Keeps processes running until `stop`.
+
+    Args:
+        specs: What to run.
+        logs: Folder for one log file a process; None lets them write to this process's stderr.
+        pid_file: JSON file kept up to date with the pid and the number of starts of each process.
+    """
+
+    def __init__(
+        self, specs: Sequence[ProcessSpec], logs: Path | None = None, pid_file: Path | None = None
+    ) -> None:
+        self._specs = list(specs)
+        self._logs = logs
+        self._pid_file = pid_file
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._starts: dict[str, int] = {}
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Start every process."""
+        for spec in self._specs:
+            thread = threading.Thread(
+                target=self._keep_running, args=(spec,), name=f"supervise-{spec.name}"
+            )
+            thread.start()
+            self._threads.append(thread)
+
+    def stop(self) -> None:
+        """Ask every process to end, kill what has not ended in time, and wait."""
+        self._stopping.set()
+        with self._lock:
+            children = list(self._children.values())
+        for child in children:
+            child.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + STOP_GRACE_S
+        for child in children:
+            try:
+                child.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                log.warning("process %d ignored SIGTERM, killing it", child.pid)
+                child.kill()
+        for thread in self._threads:
+            thread.join()
+
+    def starts(self) -> Mapping[str, int]:
+        """How often each process was started."""
+        with self._lock:
+            return dict(self._starts)
+
+    def __enter__(self) -> Supervisor:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _keep_running(self, spec: ProcessSpec) -> None:
+        pause = MIN_PAUSE_S
+        while True:
+            began = time.monotonic()
+            child = self._spawn(spec)
+            if child is None:
+                return
+            code = child.wait()
+            if self._stopping.is_set():
+                return
+            log.warning("%s ended with %d, starting it again", spec.name, code)
+            if time.monotonic() - began > STABLE_AFTER_S:
+                pause = MIN_PAUSE_S
+            if self._stopping.wait(pause):
+                return
+            pause = min(2 * pause, MAX_PAUSE_S)
+
+    def _spawn(self, spec: ProcessSpec) -> subprocess.Popen[bytes] | None:
+        output: IO[bytes] | None = None
+        if self._logs is not None:
+            self._logs.mkdir(parents=True, exist_ok=True)
+            output = (self._logs / f"{spec.name}.log").open("ab")
+        try:
+            # Under the lock, so that stop() either sees the child or prevents it.
+            with self._lock:
+                if self._stopping.is_set():
+                    return None
+                child = subprocess.Popen(
+                    spec.argv,
+                    cwd=checkout(),
+                    env=child_environment(),
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT if output else None,
+                    # Ctrl-C reaches this command only; it then asks its children in order.
+                    start_new_session=True,
+                    preexec_fn=_die_with_parent,
+                )
+                self._children[spec.name] = child
+                self._starts[spec.name] = self._starts.get(spec.name, 0) + 1
+                self._write_pids()
+                return child
+        finally:
+            if output is not None:
+                output.close()
+
+    def _write_pids(self) -> None:
+        if self._pid_file is None:
+            return
+        pids = {
+            name: {"pid": child.pid, "starts": self._starts[name]}
+            for name, child in self._children.items()
+        }
+        partial = self._pid_file.with_suffix(".partial")
+        partial.write_text(json.dumps(pids, indent=2))
+        partial.replace(self._pid_file)
+
+
+def _die_with_parent() -> None:
+    # The signal comes when the thread that forked ends, and that thread waits for the child.
+    if _libc is not None:
+        _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
