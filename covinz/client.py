@@ -1,0 +1,138 @@
+"""Questions to a running server: how far is it, which maps, which jobs, why no loop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus
+from covinz.types import JobPage, JobRange, JobRecord, MapList, MapSnapshot, MapSummary, Status
+
+# Between two looks at the status of a system that is still at work.
+POLL_S = 0.2
+
+
+class ServerUnavailable(RuntimeError):
+    """A part of the server did not answer; the message names it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far the server is with what its log holds.
+
+    Attributes:
+        head: Entries in the log.
+        looked_up: Entries that place recognition has processed.
+        mapped: Entries that the optimizer has processed.
+        open_jobs: Jobs pending or leased.
+        dirty: The optimizer has accepted something that its maps do not show yet.
+        missing: Services that did not answer.
+    """
+
+    head: int
+    looked_up: int
+    mapped: int
+    open_jobs: int
+    dirty: bool
+    missing: tuple[str, ...]
+
+    @property
+    def idle(self) -> bool:
+        """Nothing is left to do for the log as it is."""
+        done = self.looked_up == self.head == self.mapped
+        return done and self.open_jobs == 0 and not self.dirty and not self.missing
+
+
+def statuses(bus: Bus, service: str = "*") -> list[Status]:
+    """Status of every process that answers, sorted by service and instance."""
+    found = [
+        codec.decode(reply, Status)
+        for reply in bus.ask(keyexprs.service_status(service, "*"), timeout_s=5.0)
+    ]
+    return sorted(found, key=lambda status: (status.service, status.instance))
+
+
+def progress(bus: Bus) -> Progress:
+    """How far the server is.
+
+    The services are asked in the order in which work flows through them, so that work which
+    leaves one while we ask is seen in the next.
+    """
+    by_name: dict[str, Status] = {}
+    for name in ("ingest", "place_recognition", "optimizer"):
+        for status in statuses(bus, name):
+            by_name[name] = status
+    ingest, recognition = by_name.get("ingest"), by_name.get("place_recognition")
+    optimizer = by_name.get("optimizer")
+    missing = [n for n in ("ingest", "place_recognition", "optimizer") if n not in by_name]
+    log_ids = {status.log_id for status in by_name.values()}
+    if not missing and len(log_ids) > 1:
+        missing = ["a common log"]
+    return Progress(
+        head=ingest.cursor if ingest else 0,
+        looked_up=recognition.cursor if recognition else 0,
+        mapped=optimizer.cursor if optimizer else 0,
+        open_jobs=recognition.pending + recognition.leased if recognition else 0,
+        dirty=optimizer.dirty if optimizer else False,
+        missing=tuple(missing),
+    )
+
+
+def wait_idle(
+    bus: Bus,
+    timeout_s: float | None = None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    cancelled: threading.Event | None = None,
+) -> Progress:
+    """Wait until the server has nothing left to do.
+
+    Raises:
+        TimeoutError: If it is still at work after `timeout_s`, or `cancelled` was set.
+    """
+    deadline = None if timeout_s is None else time.monotonic() + timeout_s
+    pause = cancelled or threading.Event()
+    while True:
+        now = progress(bus)
+        on_progress(now)
+        if now.idle:
+            return now
+        late = deadline is not None and time.monotonic() > deadline
+        if pause.wait(POLL_S) or late:
+            raise TimeoutError(f"the server is not idle: {now}")
+
+
+def maps(bus: Bus) -> tuple[MapSummary, ...]:
+    """Every map, oldest first; raises ServerUnavailable when the optimizer does not answer."""
+    return codec.decode(_one(bus, keyexprs.MAP_LIST, b"", "optimizer"), MapList).maps
+
+
+def snapshot(bus: Bus, map_id: str) -> MapSnapshot:
+    """One map with its graph; raises ServerUnavailable when there is no answer."""
+    return codec.decode(_one(bus, keyexprs.map_snapshot(map_id), b"", "optimizer"), MapSnapshot)
+
+
+def snapshots(bus: Bus) -> list[MapSnapshot]:
+    """All maps with their graphs, oldest first."""
+    return [snapshot(bus, summary.map_id) for summary in maps(bus)]
+
+
+def jobs(bus: Bus) -> Iterator[JobRecord]:
+    """Every job with its outcome, in order of creation."""
+    first, total = 0, 1
+    while first < total:
+        question = codec.encode(JobRange(first))
+        page = codec.decode(_one(bus, keyexprs.JOB_LIST, question, "place_recognition"), JobPage)
+        yield from page.records
+        first, total = first + len(page.records), page.total
+        if not page.records:
+            return
+
+
+def _one(bus: Bus, key: str, payload: bytes, service: str) -> bytes:
+    replies: Sequence[bytes] = bus.ask(key, payload)
+    if not replies:
+        raise ServerUnavailable(f"{service} does not answer on {key}")
+    return replies[0]
