@@ -5,10 +5,13 @@
 #include <vector>
 
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include "covinz/camera.h"
+#include "covinz/solve_loop.h"
 
 namespace covinz {
 namespace {
@@ -39,8 +42,120 @@ void BindCamera(nb::module_& m) {
       "Raises InvalidCamera for an unknown model or bad parameters.");
 }
 
+void BindStageOptions(nb::module_& m) {
+  nb::enum_<DescriptorNorm>(m, "DescriptorNorm", "How descriptors are compared.")
+      .value("HAMMING", DescriptorNorm::kHamming, "Binary descriptors: ORB.")
+      .value("L2", DescriptorNorm::kL2, "Descriptors of numbers: SIFT.");
+  nb::class_<MatchingOptions>(m, "MatchingOptions", "Options of the descriptor matching.")
+      .def(nb::init<>())
+      .def_rw("norm", &MatchingOptions::norm)
+      .def_rw("max_ratio", &MatchingOptions::max_ratio)
+      .def_rw("mutual", &MatchingOptions::mutual)
+      .def_rw("max_distance", &MatchingOptions::max_distance)
+      .def("check", &MatchingOptions::Check);
+  nb::class_<RelativePoseOptions>(m, "RelativePoseOptions", "Options of the five-point RANSAC.")
+      .def(nb::init<>())
+      .def_rw("max_error_px", &RelativePoseOptions::max_error_px)
+      .def_rw("confidence", &RelativePoseOptions::confidence)
+      .def_rw("max_num_iterations", &RelativePoseOptions::max_num_iterations)
+      .def("check", &RelativePoseOptions::Check);
+  nb::class_<RigRelativePoseOptions>(m, "RigRelativePoseOptions", "Options of the 17-point RANSAC.")
+      .def(nb::init<>())
+      .def_rw("max_error_px", &RigRelativePoseOptions::max_error_px)
+      .def_rw("confidence", &RigRelativePoseOptions::confidence)
+      .def_rw("max_num_iterations", &RigRelativePoseOptions::max_num_iterations)
+      .def("check", &RigRelativePoseOptions::Check);
+  nb::class_<RigCovarianceOptions>(m, "RigCovarianceOptions", "Options of the sampled covariance.")
+      .def(nb::init<>())
+      .def_rw("num_samples", &RigCovarianceOptions::num_samples)
+      .def_rw("max_num_tries", &RigCovarianceOptions::max_num_tries)
+      .def_rw("min_inlier_ratio", &RigCovarianceOptions::min_inlier_ratio)
+      .def_rw("max_error_px", &RigCovarianceOptions::max_error_px)
+      .def("check", &RigCovarianceOptions::Check);
+}
+
+void BindLoopOptions(nb::module_& m) {
+  nb::class_<LoopOptions>(m, "LoopOptions",
+                          "Options of solve_loop; the meaning, unit and source of each field is\n"
+                          "in core/include/covinz.")
+      .def(nb::init<>())
+      .def_rw("matching", &LoopOptions::matching)
+      .def_rw("pair", &LoopOptions::pair)
+      .def_rw("rig", &LoopOptions::rig)
+      .def_rw("covariance", &LoopOptions::covariance)
+      .def_rw("min_num_matches", &LoopOptions::min_num_matches)
+      .def_rw("min_num_pair_inliers", &LoopOptions::min_num_pair_inliers)
+      .def_rw("min_num_rig_inliers", &LoopOptions::min_num_rig_inliers)
+      .def_rw("min_baseline_m", &LoopOptions::min_baseline_m)
+      .def_rw("max_translation_m", &LoopOptions::max_translation_m)
+      .def_rw("max_rotation_rad", &LoopOptions::max_rotation_rad)
+      .def_rw("max_covariance_trace", &LoopOptions::max_covariance_trace)
+      .def_rw("seed", &LoopOptions::seed)
+      .def("check", &LoopOptions::Check, "Raises ValueError for a value out of range.");
+}
+
+void BindRigCamera(nb::module_& m) {
+  nb::class_<RigCamera>(m, "RigCamera", "One keyframe of a rig.")
+      .def(
+          "__init__",
+          [](RigCamera* self, const Eigen::Matrix4d& T_rig_cam, const Points3& bearings,
+             const Descriptors& descriptors, double focal_px) {
+            RigCamera camera;
+            camera.T_rig_cam = Eigen::Isometry3d(T_rig_cam);
+            camera.bearings = bearings;
+            camera.descriptors = descriptors;
+            camera.focal_px = focal_px;
+            camera.Check();
+            new (self) RigCamera(std::move(camera));
+          },
+          "T_rig_cam"_a, "bearings"_a, "descriptors"_a, "focal_px"_a,
+          "T_rig_cam (4, 4): camera pose in the body frame of the rig's reference keyframe.\n"
+          "bearings (N, 3): unit vectors in the camera frame, NaN where a keypoint has none.\n"
+          "descriptors (N, D) uint8. focal_px turns thresholds in pixels into angles.\n\n"
+          "Raises ValueError for a transform that is not rigid or arrays that do not fit.")
+      .def_prop_ro("num_keypoints", [](const RigCamera& self) { return self.bearings.rows(); });
+}
+
+void BindLoopResult(nb::module_& m) {
+  nb::class_<LoopEstimate>(m, "LoopEstimate", "A verified loop.")
+      .def_prop_ro(
+          "T_cand_query",
+          [](const LoopEstimate& self) { return Eigen::Matrix4d(self.T_cand_query.matrix()); },
+          "(4, 4): query body in the candidate's body frame, reference keyframes, metric.")
+      .def_ro("covariance", &LoopEstimate::covariance,
+              "(6, 6) of the right perturbation of T_cand_query in the query body frame,\n"
+              "[rotation, translation], [rad, m]; positive definite.")
+      .def_ro("num_inliers", &LoopEstimate::num_inliers, "Of the 17-point RANSAC.")
+      .def_ro("num_matches", &LoopEstimate::num_matches, "A camera pair, query outermost.")
+      .def_ro("num_pair_inliers", &LoopEstimate::num_pair_inliers,
+              "Five-point inliers a camera pair, query outermost.")
+      .def_ro("num_iterations", &LoopEstimate::num_iterations, "Of the 17-point RANSAC.");
+  nb::class_<LoopRejection>(m, "LoopRejection", "Why there is no loop.")
+      .def_ro("stage", &LoopRejection::stage,
+              "degenerate, matches, pair_inliers, rig_inliers, covariance, translation, rotation.")
+      .def_ro("pair", &LoopRejection::pair, "Camera pair, query outermost, where one failed.")
+      .def_ro("count", &LoopRejection::count)
+      .def_ro("threshold", &LoopRejection::threshold)
+      .def("__repr__", [](const LoopRejection& self) {
+        return "LoopRejection(" + self.stage + ": " + std::to_string(self.count) + " against " +
+               std::to_string(self.threshold) + ")";
+      });
+}
+
 }  // namespace
 
-void BindLoopGeometry(nanobind::module_& m) { BindCamera(m); }
+void BindLoopGeometry(nanobind::module_& m) {
+  BindCamera(m);
+  BindStageOptions(m);
+  BindLoopOptions(m);
+  BindRigCamera(m);
+  BindLoopResult(m);
+  m.def("solve_loop", &SolveLoop, "query"_a, "cand"_a, "options"_a,
+        nb::call_guard<nb::gil_scoped_release>(),
+        "Relative pose of the reference keyframes of two rigs, or the stage that failed.\n"
+        "Rigs have one camera or more. Same seed and input, same result.\n\n"
+        "Raises ValueError for an empty rig, malformed cameras or bad options.\n"
+        "Source: COVINS-G, section III-B2.");
+}
 
 }  // namespace covinz

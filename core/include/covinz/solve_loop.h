@@ -1,0 +1,101 @@
+// From the keyframes around a place-recognition candidate to a loop closure or the reason why not:
+// COVINS-G's pipeline of matching, pre-filter, 17-point RANSAC and sampled covariance.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "covinz/camera.h"
+#include "covinz/matching.h"
+#include "covinz/relative_pose.h"
+#include "covinz/rig_relative_pose.h"
+#include "covinz/se3.h"
+
+namespace covinz {
+
+// One keyframe of a rig.
+struct RigCamera {
+  // Camera pose in the body frame of the rig's reference keyframe, by odometry:
+  // T_odom_body(reference)^-1 * T_odom_body(this) * T_body_cam.
+  Eigen::Isometry3d T_rig_cam = Eigen::Isometry3d::Identity();
+  // Unit bearing vectors in the camera frame; a row of NaN takes no part in matching.
+  Points3 bearings;
+  // One a bearing vector.
+  Descriptors descriptors;
+  // Turns thresholds in pixels into angles.
+  double focal_px = 0.0;
+
+  void Check() const;  // throws std::invalid_argument
+};
+
+// Options of SolveLoop.
+struct LoopOptions {
+  MatchingOptions matching;
+  RelativePoseOptions pair;
+  RigRelativePoseOptions rig;
+  RigCovarianceOptions covariance;
+  // Matches that every camera pair needs: no fewer can hold the inliers asked for next.
+  int min_num_matches = 30;
+  // Five-point inliers that every camera pair needs. [paper III-B2: 30]
+  int min_num_pair_inliers = 30;
+  // 17-point inliers in all. [paper III-B2: 100]
+  int min_num_rig_inliers = 100;
+  // Two cameras of one rig must be further apart than this [m], or there is no scale.
+  double min_baseline_m = 0.01;
+  // Largest translation [m] and rotation [rad] between the reference keyframes. Off by default:
+  // not in the paper. [public code: 2 m; 50 degrees of yaw]
+  double max_translation_m = std::numeric_limits<double>::infinity();
+  double max_rotation_rad = std::numeric_limits<double>::infinity();
+  // Largest trace of the covariance [rad^2 + m^2]. [public code: 10]
+  double max_covariance_trace = 10.0;
+  // Same seed and input, same result.
+  uint64_t seed = 0;
+
+  void Check() const;  // throws std::invalid_argument
+};
+
+struct LoopEstimate {
+  Eigen::Isometry3d T_cand_query;  // bodies of the two reference keyframes
+  // Right perturbation of T_cand_query in the query body frame, [rotation, translation],
+  // [rad, m]; positive definite.
+  Matrix6d covariance;
+  int num_inliers;  // of the 17-point RANSAC
+  // For each camera pair, the query camera outermost.
+  std::vector<int> num_matches;
+  std::vector<int> num_pair_inliers;
+  int num_iterations;  // of the 17-point RANSAC
+};
+
+// Why there is no loop: count < threshold, or > threshold for the stages that limit from above.
+struct LoopRejection {
+  // "degenerate"    longest baseline within a rig [m] < min_baseline_m
+  // "matches"       matches of a pair < min_num_matches
+  // "pair_inliers"  five-point inliers of a pair < min_num_pair_inliers
+  // "rig_inliers"   17-point inliers < min_num_rig_inliers
+  // "covariance"    samples < covariance.num_samples, or trace > max_covariance_trace
+  // "translation"   metres > max_translation_m
+  // "rotation"      radians > max_rotation_rad
+  std::string stage;
+  // Camera pair, the query camera outermost; of "matches" and "pair_inliers".
+  std::optional<int> pair;
+  double count;
+  double threshold;
+};
+
+using LoopResult = std::variant<LoopEstimate, LoopRejection>;
+
+// Relative pose of the reference keyframes of two rigs. Stops at the first stage that fails.
+// Throws std::invalid_argument for an empty rig, malformed cameras or bad options.
+//
+// Source: COVINS-G, III-B2.
+LoopResult SolveLoop(const std::vector<RigCamera>& query,
+                     const std::vector<RigCamera>& cand,
+                     const LoopOptions& options);
+
+}  // namespace covinz
