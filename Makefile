@@ -82,7 +82,7 @@ schemas: setup
 	$(BIN)/python schemas/generate.py
 
 vocabulary: setup
-	$(BIN)/python vocabulary/train.py
+	$(BIN)/python -m vocabulary.train
 
 clean:
 	rm -rf $(VENV) $(STAMPS) core/build build runs

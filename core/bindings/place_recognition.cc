@@ -1,7 +1,163 @@
+// Python: Vocabulary, InvertedIndex, TfIdfIndex.
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+
 #include "bindings.h"
+#include "covinz/inverted_index.h"
+#include "covinz/tf_idf_index.h"
+#include "covinz/vocabulary.h"
+#include "covinz/vocabulary_training.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
 
 namespace covinz {
+namespace {
 
-void BindPlaceRecognition(nanobind::module_&) {}
+template <typename Scalar>
+using In = nb::ndarray<const Scalar, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using InDescriptors = nb::ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+template <typename Scalar>
+using Out = nb::ndarray<nb::numpy, Scalar, nb::ndim<1>, nb::c_contig>;
+
+template <typename Scalar>
+Out<Scalar> ToNumpy(std::vector<Scalar> values) {
+  auto* owned = new std::vector<Scalar>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<Scalar>*>(p); });
+  return Out<Scalar>(owned->data(), {owned->size()}, owner);
+}
+
+template <typename Scalar>
+std::vector<Scalar> ToVector(const In<Scalar>& array) {
+  return std::vector<Scalar>(array.data(), array.data() + array.shape(0));
+}
+
+std::vector<BinaryDescriptor> ToDescriptors(const InDescriptors& array) {
+  if (array.shape(1) != kDescriptorBytes) {
+    throw std::invalid_argument("Descriptors must have 32 bytes, not " +
+                                std::to_string(array.shape(1)));
+  }
+  return BinaryDescriptorsFromBytes(array.data(), array.shape(0));
+}
+
+Vocabulary Train(const InDescriptors& descriptors,
+                 const In<int64_t>& image_offsets,
+                 int branching,
+                 int depth,
+                 uint64_t seed,
+                 int max_iterations) {
+  const std::vector<BinaryDescriptor> all = ToDescriptors(descriptors);
+  const std::vector<int64_t> offsets = ToVector(image_offsets);
+  nb::gil_scoped_release release;
+  return TrainVocabulary(all, offsets, {branching, depth, max_iterations, seed});
+}
+
+nb::bytes VocabularyBytes(const Vocabulary& vocabulary) {
+  const std::vector<uint8_t> bytes = vocabulary.ToBytes();
+  return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+}
+
+Vocabulary VocabularyFromBytes(const nb::bytes& bytes) {
+  return Vocabulary::FromBytes(reinterpret_cast<const uint8_t*>(bytes.c_str()), bytes.size());
+}
+
+Out<uint32_t> Words(const Vocabulary& vocabulary, const InDescriptors& array) {
+  const std::vector<BinaryDescriptor> descriptors = ToDescriptors(array);
+  std::vector<uint32_t> words;
+  {
+    nb::gil_scoped_release release;
+    words = vocabulary.Words(descriptors);
+  }
+  return ToNumpy(std::move(words));
+}
+
+uint32_t AddToIndex(InvertedIndex& index, const In<uint32_t>& words, const InDescriptors& array) {
+  return index.Add(ToVector(words), ToDescriptors(array));
+}
+
+Out<float> Votes(const InvertedIndex& index,
+                 const In<uint32_t>& words,
+                 const InDescriptors& array) {
+  return ToNumpy(index.Votes(ToVector(words), ToDescriptors(array)));
+}
+
+void BindVocabulary(nb::module_& m) {
+  const VocabularyTrainingOptions defaults;
+  nb::class_<Vocabulary>(m, "Vocabulary",
+                         "Visual words of 256-bit descriptors: the leaves of a k-majority tree.")
+      .def_static("train", &Train, "descriptors"_a, "image_offsets"_a, nb::kw_only(),
+                  "branching"_a = defaults.branching, "depth"_a = defaults.depth,
+                  "seed"_a = defaults.seed, "max_iterations"_a = defaults.max_num_iterations,
+                  R"(Train by hierarchical k-majority; the same input gives the same bits.
+
+Args:
+    descriptors: Descriptors (N, 32) of all images, image after image.
+    image_offsets: First descriptor of each image, then N: (I + 1,), for the idf weights.
+    branching: Clusters per node, 2 to 255.
+    depth: Levels; there are at most branching ** depth words.
+    seed: Of the draws that seed the clusters.
+    max_iterations: Rounds of k-majority per node.
+
+Raises:
+    ValueError: Not 32 bytes, no descriptors, offsets that do not ascend from 0 to N, or
+        options out of range.)")
+      .def_static("from_bytes", &VocabularyFromBytes, "data"_a,
+                  "Inverse of to_bytes. Raises ValueError on truncated or altered bytes.")
+      .def("to_bytes", &VocabularyBytes, "Portable bytes with version and checksum.")
+      .def("words", &Words, "descriptors"_a,
+           "Word (N,) of each descriptor (N, 32). Raises ValueError if not 32 bytes.")
+      .def_prop_ro("num_words", &Vocabulary::num_words)
+      .def_prop_ro(
+          "idf", [](const Vocabulary& vocabulary) { return ToNumpy(vocabulary.idf()); },
+          nb::rv_policy::automatic,
+          "log(training images / images that hold the word) of each word: (num_words,).")
+      .def_prop_ro("hash", &Vocabulary::hash, "Identity: SHA-256 of the content, 64 hex digits.");
+}
+
+void BindIndices(nb::module_& m) {
+  nb::class_<InvertedIndex>(m, "InvertedIndex",
+                            R"(Keyframes ranked by Hamming-verified votes under common words.
+
+One thread owns an index.)")
+      .def(nb::init<int>(), "max_hamming"_a = InvertedIndex::kDefaultMaxHamming)
+      .def("add", &AddToIndex, "words"_a, "descriptors"_a,
+           "Add a keyframe by its words (N,) and descriptors (N, 32); returns its index.")
+      .def("votes", &Votes, "words"_a, "descriptors"_a,
+           R"(Votes (size,) of the query's descriptors (N, 32) with words (N,).
+
+A descriptor votes once for each keyframe that holds one within max_hamming bits under the
+same word, with weight log(size / keyframes hit). Raises ValueError if lengths differ.)")
+      .def_prop_ro("size", &InvertedIndex::size, "Number of keyframes.")
+      .def("__len__", &InvertedIndex::size);
+  nb::class_<TfIdfIndex>(m, "TfIdfIndex",
+                         R"(Keyframes ranked by the L1 score of tf-idf bags: the paper's score.
+
+One thread owns an index.)")
+      .def(nb::init<const Vocabulary&>(), "vocabulary"_a)
+      .def(
+          "add",
+          [](TfIdfIndex& index, const In<uint32_t>& words) { return index.Add(ToVector(words)); },
+          "words"_a, "Add a keyframe by its words (N,); returns its index.")
+      .def(
+          "scores",
+          [](const TfIdfIndex& index, const In<uint32_t>& words) {
+            return ToNumpy(index.Scores(ToVector(words)));
+          },
+          "words"_a,
+          "Scores (size,) from 0 to 1. Raises ValueError on a word not in the vocabulary.")
+      .def_prop_ro("size", &TfIdfIndex::size, "Number of keyframes.")
+      .def("__len__", &TfIdfIndex::size);
+}
+
+}  // namespace
+
+void BindPlaceRecognition(nb::module_& m) {
+  BindVocabulary(m);
+  BindIndices(m);
+}
 
 }  // namespace covinz

@@ -1,0 +1,75 @@
+// The tree of a vocabulary and the descent to a word.
+#include "covinz/vocabulary.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "covinz/sha256.h"
+
+namespace covinz {
+namespace {
+
+void Require(bool condition, const char* message) {
+  if (!condition) throw std::invalid_argument(std::string("Vocabulary: ") + message);
+}
+
+// Links the levels; nodes come level by level, so each one's children follow those of the last.
+std::vector<VocabularyNode> LinkNodes(const std::vector<uint8_t>& num_children) {
+  std::vector<VocabularyNode> nodes(num_children.size());
+  std::vector<uint32_t> level(num_children.size(), 0);
+  uint32_t next_child = 1;
+  uint32_t next_word = 0;
+  for (size_t i = 0; i < nodes.size(); ++i) {
+    Require(i < next_child, "a node has no parent");
+    Require(num_children[i] != 1, "a node has a single child");
+    nodes[i].num_children = num_children[i];
+    if (num_children[i] == 0) {
+      nodes[i].word = next_word++;
+      continue;
+    }
+    nodes[i].first_child = next_child;
+    Require(num_children[i] <= nodes.size() - next_child, "a node has a child too many");
+    Require(level[i] < Vocabulary::kMaxDepth, "the tree is too deep");
+    for (uint32_t k = 0; k < num_children[i]; ++k) level[next_child++] = level[i] + 1;
+  }
+  return nodes;
+}
+
+}  // namespace
+
+Vocabulary::Vocabulary(std::vector<BinaryDescriptor> centroids,
+                       const std::vector<uint8_t>& num_children,
+                       std::vector<float> idf)
+    : centroids_(std::move(centroids)), idf_(std::move(idf)) {
+  Require(!centroids_.empty() && centroids_.size() <= kMaxNodes, "number of nodes out of range");
+  Require(centroids_.size() == num_children.size(), "number of nodes differs");
+  nodes_ = LinkNodes(num_children);
+  const auto num_leaves = std::count(num_children.begin(), num_children.end(), uint8_t{0});
+  Require(static_cast<size_t>(num_leaves) == idf_.size(), "number of words differs");
+  for (const float weight : idf_) {
+    Require(std::isfinite(weight) && weight >= 0.0f, "an idf weight is negative or not finite");
+  }
+  const std::vector<uint8_t> bytes = ToBytes();
+  Sha256Digest digest;
+  std::copy(bytes.end() - static_cast<std::ptrdiff_t>(digest.size()), bytes.end(), digest.begin());
+  hash_ = ToHex(digest);
+}
+
+std::vector<uint32_t> Vocabulary::Words(const std::vector<BinaryDescriptor>& descriptors) const {
+  std::vector<uint32_t> words;
+  words.reserve(descriptors.size());
+  for (const BinaryDescriptor& descriptor : descriptors) {
+    const VocabularyNode* node = &nodes_.front();
+    while (node->num_children > 0) {
+      const BinaryDescriptor* children = centroids_.data() + node->first_child;
+      const size_t nearest = NearestDescriptor(descriptor, children, node->num_children);
+      node = &nodes_[node->first_child + nearest];
+    }
+    words.push_back(node->word);
+  }
+  return words;
+}
+
+}  // namespace covinz
