@@ -1,0 +1,225 @@
+"""Loops on their way: LoopJob, LoopClosure, Rejection, Lease, JobDone, JobPage and questions."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from covinz.codec import poses, values
+from covinz.codec.reader import Fields
+from covinz.types import (
+    JobDone,
+    JobPage,
+    JobRange,
+    JobRecord,
+    JobState,
+    Lease,
+    LeaseRequest,
+    LoopClosure,
+    LoopJob,
+    Outcome,
+    Rejection,
+    RigMember,
+)
+
+_WIRE_STATE: Final = {state: state.name.capitalize() for state in JobState}
+_STATE_OF_WIRE: Final = {name: state for state, name in _WIRE_STATE.items()}
+
+
+def _member_fields(member: RigMember) -> Fields:
+    return {
+        "keyframe": values.keyframe_id_fields(member.keyframe),
+        "pose_odom_body": tuple(poses.pose_values(member.T_odom_body, "T_odom_body")),
+        "camera_hash": values.text(member.camera_hash, "camera_hash", values.CAMERA_HASH),
+    }
+
+
+def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
+    if not members:
+        raise ValueError("a rig is empty")
+    return tuple(
+        RigMember(
+            values.keyframe_id(member["keyframe"]),
+            poses.transforms(member["pose_odom_body"], "T_odom_body"),
+            values.text(member["camera_hash"], "camera_hash", values.CAMERA_HASH),
+        )
+        for member in members
+    )
+
+
+def loop_job_fields(job: LoopJob) -> Fields:
+    """Fields of a LoopJob."""
+    if not (job.query_rig and job.cand_rig):
+        raise ValueError("a rig is empty")
+    return {
+        "id": values.text(job.id, "id", values.JOB_ID),
+        "query_rig": [_member_fields(member) for member in job.query_rig],
+        "cand_rig": [_member_fields(member) for member in job.cand_rig],
+        "score": values.finite(job.score, "score"),
+    }
+
+
+def loop_job(fields: Fields) -> LoopJob:
+    """The inverse of `loop_job_fields`."""
+    return LoopJob(
+        id=values.text(fields["id"], "id", values.JOB_ID),
+        query_rig=_rig(fields["query_rig"]),
+        cand_rig=_rig(fields["cand_rig"]),
+        score=values.finite(fields["score"], "score"),
+    )
+
+
+def loop_closure_fields(loop: LoopClosure) -> Fields:
+    """Fields of a LoopClosure."""
+    return {
+        "job_id": values.text(loop.job_id, "job_id", values.JOB_ID),
+        "query": values.keyframe_id_fields(loop.query),
+        "cand": values.keyframe_id_fields(loop.cand),
+        "pose_cand_query": tuple(poses.pose_values(loop.T_cand_query, "T_cand_query")),
+        "covariance": values.covariance(loop.covariance, "covariance", definite=True),
+        "num_inliers": values.whole(loop.num_inliers, "num_inliers", 0, values.MAX_COUNT),
+        "num_matches": values.whole(loop.num_matches, "num_matches", 0, values.MAX_COUNT),
+        "solver_ms": values.finite(loop.solver_ms, "solver_ms", low=0.0),
+    }
+
+
+def loop_closure(fields: Fields) -> LoopClosure:
+    """The inverse of `loop_closure_fields`."""
+    covariance = values.covariance(fields["covariance"], "covariance", definite=True)
+    return LoopClosure(
+        job_id=values.text(fields["job_id"], "job_id", values.JOB_ID),
+        query=values.keyframe_id(fields["query"]),
+        cand=values.keyframe_id(fields["cand"]),
+        T_cand_query=poses.transforms(fields["pose_cand_query"], "T_cand_query"),
+        covariance=covariance.reshape(6, 6),
+        num_inliers=fields["num_inliers"],
+        num_matches=fields["num_matches"],
+        solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
+    )
+
+
+def rejection_fields(rejection: Rejection) -> Fields:
+    """Fields of a Rejection."""
+    return {
+        "job_id": values.text(rejection.job_id, "job_id", values.JOB_ID),
+        "query": values.keyframe_id_fields(rejection.query),
+        "cand": values.keyframe_id_fields(rejection.cand),
+        "stage": values.text(rejection.stage, "stage", values.CODE),
+        "count": values.finite(rejection.count, "count"),
+        "threshold": values.finite(rejection.threshold, "threshold"),
+        "detail": values.text(rejection.detail, "detail") or None,
+        "solver_ms": values.finite(rejection.solver_ms, "solver_ms", low=0.0),
+    }
+
+
+def rejection(fields: Fields) -> Rejection:
+    """The inverse of `rejection_fields`."""
+    return Rejection(
+        job_id=values.text(fields["job_id"], "job_id", values.JOB_ID),
+        query=values.keyframe_id(fields["query"]),
+        cand=values.keyframe_id(fields["cand"]),
+        stage=values.text(fields["stage"], "stage", values.CODE),
+        count=values.finite(fields["count"], "count"),
+        threshold=values.finite(fields["threshold"], "threshold"),
+        detail=fields["detail"] or "",
+        solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
+    )
+
+
+def _outcome_fields(outcome: Outcome) -> tuple[str, Fields]:
+    if isinstance(outcome, LoopClosure):
+        return "LoopClosure", loop_closure_fields(outcome)
+    return "Rejection", rejection_fields(outcome)
+
+
+def _outcome(value: tuple[str, Fields]) -> Outcome:
+    name, fields = value
+    return loop_closure(fields) if name == "LoopClosure" else rejection(fields)
+
+
+def lease_request_fields(request: LeaseRequest) -> Fields:
+    """Fields of a LeaseRequest."""
+    return {"worker": values.text(request.worker, "worker", values.INSTANCE)}
+
+
+def lease_request(fields: Fields) -> LeaseRequest:
+    """The inverse of `lease_request_fields`."""
+    return LeaseRequest(values.text(fields["worker"], "worker", values.INSTANCE))
+
+
+def lease_fields(lease: Lease) -> Fields:
+    """Fields of a Lease."""
+    return {
+        "job": loop_job_fields(lease.job),
+        "worker": values.text(lease.worker, "worker", values.INSTANCE),
+        "attempt": values.whole(lease.attempt, "attempt", 1, values.MAX_COUNT),
+        "duration_s": values.finite(lease.duration_s, "duration_s", low=0.0),
+    }
+
+
+def lease(fields: Fields) -> Lease:
+    """The inverse of `lease_fields`."""
+    return Lease(
+        job=loop_job(fields["job"]),
+        worker=values.text(fields["worker"], "worker", values.INSTANCE),
+        attempt=values.whole(fields["attempt"], "attempt", 1, values.MAX_COUNT),
+        duration_s=values.finite(fields["duration_s"], "duration_s", low=0.0),
+    )
+
+
+def job_done_fields(done: JobDone) -> Fields:
+    """Fields of a JobDone."""
+    worker = values.text(done.worker, "worker", values.INSTANCE)
+    return {"worker": worker, "outcome": _outcome_fields(done.outcome)}
+
+
+def job_done(fields: Fields) -> JobDone:
+    """The inverse of `job_done_fields`."""
+    worker = values.text(fields["worker"], "worker", values.INSTANCE)
+    return JobDone(worker, _outcome(fields["outcome"]))
+
+
+def job_range_fields(wanted: JobRange) -> Fields:
+    """Fields of a JobRange."""
+    return {"first": values.whole(wanted.first, "first")}
+
+
+def job_range(fields: Fields) -> JobRange:
+    """The inverse of `job_range_fields`."""
+    return JobRange(values.whole(fields["first"], "first"))
+
+
+def _record_fields(record: JobRecord) -> Fields:
+    return {
+        "job": loop_job_fields(record.job),
+        "state": _WIRE_STATE[record.state],
+        "attempts": values.whole(record.attempts, "attempts", 0, values.MAX_COUNT),
+        "outcome": None if record.outcome is None else _outcome_fields(record.outcome),
+    }
+
+
+def _record(fields: Fields) -> JobRecord:
+    if fields["state"] is None:
+        raise ValueError("records.state is missing")
+    return JobRecord(
+        job=loop_job(fields["job"]),
+        state=_STATE_OF_WIRE[fields["state"]],
+        attempts=fields["attempts"],
+        outcome=None if fields["outcome"] is None else _outcome(fields["outcome"]),
+    )
+
+
+def job_page_fields(page: JobPage) -> Fields:
+    """Fields of a JobPage."""
+    return {
+        "total": values.whole(page.total, "total"),
+        "first": values.whole(page.first, "first"),
+        "records": [_record_fields(record) for record in page.records],
+    }
+
+
+def job_page(fields: Fields) -> JobPage:
+    """The inverse of `job_page_fields`."""
+    records = tuple(_record(record) for record in fields["records"])
+    return JobPage(
+        values.whole(fields["total"], "total"), values.whole(fields["first"], "first"), records
+    )

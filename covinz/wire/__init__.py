@@ -1,0 +1,1 @@
+"""The layout of the messages on the wire, generated from schemas/*.fbs."""
