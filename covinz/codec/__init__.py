@@ -86,7 +86,8 @@ _FORMS.update(dict.fromkeys(_REPLIES, _REPLY))
 def encode(message: object) -> bytes:
     """Write a message; the inverse of `decode`.
 
-    Keypoints are rounded to 1/16 px and rotations to 6e-14 rad; everything else is exact.
+    Keypoints are rounded to 1/16 px, and rotations (but a camera's) to about 6e-14 rad; of an
+    information matrix the upper triangle counts; everything else is exact.
 
     Raises:
         ValueError: If a value is not one that `decode` accepts.

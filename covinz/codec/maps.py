@@ -80,9 +80,8 @@ def map_snapshot_fields(snapshot: MapSnapshot) -> Fields:
     n = len(snapshot.keyframes)
     edges = np.stack([snapshot.edge_from, snapshot.edge_to])
     _check_indices(edges, n, "edges")
-    information = snapshot.information
-    if not np.array_equal(information, np.swapaxes(information, -1, -2)):
-        raise ValueError("information: not symmetric to the last bit")
+    information = _finite(snapshot.information, "information")
+    values.check_symmetric(information, "information")
     return {
         "summary": _summary_fields(snapshot.summary),
         "keyframe_segment": np.array([position[kf.segment] for kf in snapshot.keyframes], "u4"),
@@ -95,7 +94,7 @@ def map_snapshot_fields(snapshot: MapSnapshot) -> Fields:
         "edge_from": edges[0].astype("u4"),
         "edge_to": edges[1].astype("u4"),
         "poses_from_to": poses.pose_values(snapshot.T_from_to, "T_from_to"),
-        "information": _finite(information[:, _UPPER[0], _UPPER[1]], "information"),
+        "information": information[:, _UPPER[0], _UPPER[1]],
         "is_loop": snapshot.is_loop,
     }
 

@@ -163,6 +163,9 @@ class _Reader:
         length = self._length(at, field.dtype.itemsize, field)
         if length and (at + 4) % field.dtype.itemsize:
             raise MalformedMessage(f"{field.name}: vector is not aligned")
+        if field.dtype == np.bool_:
+            # Other bytes than 0 and 1 would make strange booleans.
+            return np.frombuffer(self._data, np.uint8, length, at + 4).astype(np.bool_)
         return np.frombuffer(self._data, field.dtype, length, at + 4)
 
     def _tables(self, at: int, field: Field) -> list[Fields]:

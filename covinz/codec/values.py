@@ -73,19 +73,25 @@ def numbers(values: ArrayLike, name: str, length: int, bound: float = math.inf) 
     return array
 
 
+def check_symmetric(matrices: NDArray[Any], name: str) -> None:
+    """Raise ValueError unless all matrices (..., 6, 6) are symmetric within rounding."""
+    scale = np.abs(matrices).max(axis=(-2, -1), keepdims=True, initial=0.0)
+    asymmetry = np.abs(matrices - np.swapaxes(matrices, -1, -2))
+    if np.any(asymmetry > SYMMETRY_TOLERANCE * scale):
+        raise ValueError(f"{name}: not symmetric")
+
+
 def covariance(values: ArrayLike, name: str, definite: bool) -> NDArray[Any]:
     """36 numbers of a symmetric positive (semi-)definite 6x6 matrix."""
     array = numbers(values, name, 36, MAX_COVARIANCE)
     matrix = array.reshape(6, 6)
-    scale = float(np.abs(matrix).max())
-    if float(np.abs(matrix - matrix.T).max()) > SYMMETRY_TOLERANCE * scale:
-        raise ValueError(f"{name}: not symmetric")
+    check_symmetric(matrix, name)
     if definite:
         try:
             np.linalg.cholesky(matrix)
         except np.linalg.LinAlgError as error:
             raise ValueError(f"{name}: not positive definite") from error
-    elif np.linalg.eigvalsh(matrix)[0] < -SYMMETRY_TOLERANCE * scale:
+    elif np.linalg.eigvalsh(matrix)[0] < -SYMMETRY_TOLERANCE * np.abs(matrix).max():
         raise ValueError(f"{name}: not positive semi-definite")
     return array
 
