@@ -59,6 +59,11 @@ class IngestConfig(Section):
     page_bytes: PositiveInt = 1024 * 1024
     # Uploads waiting for a commit; beyond it agents are told to retry.
     inbox: PositiveInt = 256
+    # The same for a single agent, so that one that floods takes no place of the others.
+    # [four times `agent.window`]
+    inbox_per_agent: PositiveInt = 16
+    # Calibrations that one agent may register.
+    max_cameras_per_agent: PositiveInt = 256
     # What an agent is told to wait when the inbox is full. [s]
     retry_after_s: Positive = 0.5
 
@@ -78,6 +83,9 @@ class PlaceRecognitionConfig(Section):
     min_score: NonNegative = 10.0
     # Candidates need this share of the query's best score. [public code: 0.75 retain rule]
     min_score_ratio: Annotated[float, Field(ge=0, le=1)] = 0.25
+    # A keyframe with fewer features takes no part: it could not pass the gate of the pairs.
+    # [paper III-B2: 30 inliers]
+    min_features: PositiveInt = 30
     # The first keyframes of a session are neither queries ... [public code: start_after_kf 7]
     start_after_keyframes: Count = 0
     # ... nor candidates. [public code: exclude_kfs_with_id_less_than 7]
@@ -125,6 +133,8 @@ class LoopSolverConfig(Section):
 
     profile: Literal["paper"] = "paper"
     matching: MatchingConfig = MatchingConfig()
+    # Matches in each of the six pairs: fewer cannot hold the inliers asked for next.
+    min_pair_matches: PositiveInt = 30
     # Inliers of the five-point RANSAC in each of the six pairs. [paper III-B2: 30]
     min_pair_inliers: PositiveInt = 30
     # Inliers of the 17-point RANSAC. [paper III-B2: 100]
@@ -139,6 +149,20 @@ class LoopSolverConfig(Section):
     confidence: Annotated[float, Field(gt=0, lt=1)] = 0.99
     # 17-point solves on random inliers for the covariance. [public code: 30]
     num_covariance_samples: PositiveInt = 30
+    # Solves that fit badly are drawn again, at most so many in all. [public code: 300]
+    max_covariance_tries: PositiveInt = 300
+    # A solve fits if it keeps this share of the inliers ... [public code: 0.8]
+    min_covariance_inlier_ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
+    # ... within this error, in pixels. [public code: 10 px at a focal length of 800]
+    max_covariance_error_px: Positive = 6.0
+    # Largest trace of the covariance. [rad^2 + m^2; public code: 10]
+    max_covariance_trace: Positive = 10.0
+    # Two cameras of one rig are further apart than this, or there is no scale. [m]
+    min_baseline_m: Positive = 0.01
+    # Largest translation between the two keyframes; the paper has no limit. [m; public code: 2]
+    max_translation_m: Positive | None = None
+    # Largest rotation between them. [rad; public code: 50 degrees of yaw]
+    max_rotation_rad: Positive | None = None
 
 
 class WorkerConfig(Section):
@@ -146,6 +170,10 @@ class WorkerConfig(Section):
 
     # Keyframes kept in memory (LRU); 36 kB each.
     cache_keyframes: PositiveInt = 1024
+    # Back-off between failed attempts to reach another service grows from ... [s]
+    min_backoff_s: Positive = 0.05
+    # ... to this. [s]
+    max_backoff_s: Positive = 2.0
 
 
 class OdometryNoise(Section):
@@ -269,6 +297,18 @@ def validate(model: type[M], values: Mapping[str, Any], origin: str) -> M:
         return model.model_validate(values)
     except ValueError as error:
         raise ConfigError(f"{origin}: {error}") from error
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested mapping with the entries of `over` in place of those of `base`."""
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            merged[key] = merge(below, value)
+        else:
+            merged[key] = value
+    return merged
 
 
 def _assign(values: dict[str, Any], path: list[str], text: str) -> None:

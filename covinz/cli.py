@@ -1,0 +1,230 @@
+"""The `covinz` command."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+import yaml
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from covinz import client, config, evaluation, export, run, supervisor, trajectory
+from covinz.bus import Bus, ZenohBus
+from covinz.types import JobRecord, JobState, LoopClosure, Rejection
+
+app = typer.Typer(
+    help="Collaborative SLAM server: robots send keyframes, covinz puts them into one map.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+console = Console()
+errors = Console(stderr=True)
+
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", help="YAML file with settings that differ.", exists=True)
+]
+Endpoint = Annotated[
+    str, typer.Option(help="Where the router listens.", envvar="COVINZ__BUS__ENDPOINT")
+]
+DEFAULT_ENDPOINT = config.BusConfig().endpoint
+
+
+@app.command()
+def up(
+    workers: Annotated[int, typer.Option(min=1, help="Loop-solver processes.")] = 1,
+    data: Annotated[Path, typer.Option(help="Where the server keeps its files.")] = Path("data"),
+    config_file: ConfigFile = None,
+) -> None:
+    """Start the server: router, ingest, place recognition, loop solvers, optimizer."""
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    settings = config.load(config_file)
+    data.mkdir(parents=True, exist_ok=True)
+    written = data / "config.yaml"
+    written.write_text(yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
+    specs = supervisor.server_specs(written.resolve(), data.resolve(), workers)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with supervisor.Supervisor(specs, pid_file=data / "processes.json"):
+        console.print(f"covinz listens on {settings.bus.endpoint} ({workers} loop solvers)")
+        console.print(f"data in {data.resolve()}, Ctrl-C stops it", soft_wrap=True)
+        stop.wait()
+        console.print("stopping")
+
+
+@app.command("run")
+def run_scenario(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file.", exists=True, dir_okay=False)],
+    workers: Annotated[int, typer.Option(min=1, help="Loop-solver processes.")] = 1,
+    profile: Annotated[str, typer.Option(help="Solver profile: paper.")] = "paper",
+    rate: Annotated[
+        float | None, typer.Option(min=0.01, help="Play at this multiple of real time.")
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option(help="Send in stamp order across agents: a reproducible run.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder [default: runs/<name>-<time>].")
+    ] = None,
+) -> None:
+    """Start a server, play a scenario's agents, evaluate, stop."""
+    if rate is not None and lockstep:
+        raise typer.BadParameter("--rate and --lockstep exclude each other")
+    options = run.RunOptions(
+        workers=workers, profile=profile, rate=rate, lockstep=lockstep, out=out
+    )
+    result = run.run_scenario(scenario, options, console)
+    _print_report(result.report)
+    console.print(f"\n{result.folder}/report.json and top_view.png", soft_wrap=True)
+
+
+@app.command()
+def status(endpoint: Endpoint = DEFAULT_ENDPOINT) -> None:
+    """Show how far every process of a running server is."""
+    with _connected(endpoint) as bus:
+        found = client.statuses(bus)
+        if not found:
+            raise client.ServerUnavailable(f"no covinz process answers at {endpoint}")
+        now = client.progress(bus)
+    table = Table("service", "instance", "cursor", "pending", "leased", "dirty", "counters")
+    for item in found:
+        counters = "  ".join(f"{name}={value:g}" for name, value in sorted(item.counters.items()))
+        numbers = (str(item.cursor), str(item.pending), str(item.leased))
+        table.add_row(item.service, item.instance, *numbers, "yes" if item.dirty else "", counters)
+    console.print(table)
+    console.print("idle" if now.idle else f"at work: {now}", highlight=False)
+
+
+@app.command()
+def why(
+    keyframe: Annotated[str, typer.Argument(help="AGENT, AGENT/SEQ or AGENT/SESSION/SEQ.")],
+    endpoint: Endpoint = DEFAULT_ENDPOINT,
+) -> None:
+    """Say for a keyframe which candidates it had and why each did or did not become a loop."""
+    with _connected(endpoint) as bus:
+        records = [record for record in client.jobs(bus) if _concerns(record, keyframe)]
+    table = Table("query", "candidate", "score", "outcome", "counted", "needed", "detail")
+    for record in records:
+        table.add_row(str(record.job.query), str(record.job.cand), *_describe(record))
+    console.print(table if records else f"no candidate was ever found for {keyframe}")
+
+
+@app.command("export")
+def export_maps(
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("export"),
+    endpoint: Endpoint = DEFAULT_ENDPOINT,
+) -> None:
+    """Write the maps of a running server: TUM trajectories per agent and one g2o file a map."""
+    with _connected(endpoint) as bus:
+        snapshots = client.snapshots(bus)
+    for file in export.write_maps(out, snapshots):
+        console.print(str(file), soft_wrap=True)
+
+
+@app.command("eval")
+def evaluate(
+    groundtruth: Annotated[
+        list[Path], typer.Option("--groundtruth", "-g", help="TUM file; one for all or one each.")
+    ],
+    estimates: Annotated[list[Path], typer.Argument(help="TUM files in one map frame.")],
+) -> None:
+    """Compare trajectories with ground truth: joint ATE (one alignment) and each alone."""
+    if len(groundtruth) not in (1, len(estimates)):
+        raise typer.BadParameter("give one ground truth, or one for each estimate")
+    truths = groundtruth * len(estimates) if len(groundtruth) == 1 else groundtruth
+    pairs = [
+        evaluation.associate(trajectory.read_tum(estimate), trajectory.read_tum(truth))
+        for estimate, truth in zip(estimates, truths, strict=True)
+    ]
+    table = Table("trajectory", "poses", "ATE alone [m]", "RPE over 1 m: median [m]", "[deg]")
+    for file, pair in zip(estimates, pairs, strict=True):
+        if not len(pair):
+            raise trajectory.TrajectoryError(f"{file}: no pose has ground truth at its time")
+        rpe = evaluation.rpe_over_distance(pair, 1.0)
+        medians = [_median(rpe.translation_m), _median(np.rad2deg(rpe.rotation_rad))]
+        table.add_row(str(file), str(len(pair)), f"{evaluation.ate_m(pair):.4f}", *medians)
+    console.print(table)
+    console.print(f"joint ATE, one SE(3) alignment: {evaluation.joint_ate_m(pairs):.4f} m")
+
+
+@contextmanager
+def _connected(endpoint: str) -> Iterator[Bus]:
+    bus = ZenohBus.open(config.BusConfig(endpoint=endpoint))
+    try:
+        yield bus
+    finally:
+        bus.close()
+
+
+def _concerns(record: JobRecord, keyframe: str) -> bool:
+    for found in (record.job.query, record.job.cand):
+        if keyframe in (found.agent, f"{found.agent}/{found.seq}", str(found)):
+            return True
+    return False
+
+
+def _describe(record: JobRecord) -> tuple[str, str, str, str, str]:
+    score = f"{record.job.score:.1f}"
+    match record.outcome:
+        case LoopClosure() as loop:
+            return score, "[green]loop closure", f"{loop.num_inliers} inliers", "", ""
+        case Rejection() as no:
+            return score, f"[red]{no.stage}", f"{no.count:g}", f"{no.threshold:g}", no.detail
+    waiting = "leased" if record.state is JobState.LEASED else "waiting for a worker"
+    return score, waiting, "", "", ""
+
+
+def _print_report(report: dict[str, Any]) -> None:
+    table = Table("agent", "keyframes", "kB/s", "ATE before [m]", "ATE after [m]")
+    for name, agent in report["agents"].items():
+        errors_m = [_metres(agent["ate_before_m"]), _metres(agent["ate_after_m"])]
+        table.add_row(name, str(agent["keyframes"]), f"{agent['kB_per_s']:.0f}", *errors_m)
+    console.print(table)
+    loops = report["loops"]
+    console.print(
+        f"{len(report['maps'])} map(s) {report['maps']}; {loops['accepted']} loops of "
+        f"{loops['candidates']} candidates ({loops['inter']} between agents), "
+        f"wrong: {loops['wrong']}; joint ATE {_metres(report['joint_ate_before_m'])} -> "
+        f"{_metres(report['joint_ate_after_m'])} m; keyframes lost: {report['keyframes_lost']}",
+        highlight=False,
+    )
+
+
+def _median(values: NDArray[np.float64]) -> str:
+    return f"{np.median(values):.4f}" if len(values) else "-"
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def main() -> None:
+    """Entry point: known errors become one line, bugs keep their traceback."""
+    known = (
+        config.ConfigError,
+        client.ServerUnavailable,
+        supervisor.ServicesNotFound,
+        run.RunFailed,
+        trajectory.TrajectoryError,
+        TimeoutError,
+    )
+    try:
+        app()
+    except known as error:
+        errors.print(f"covinz: {error}", style="red", highlight=False, soft_wrap=True)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

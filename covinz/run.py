@@ -1,0 +1,216 @@
+"""One run of a scenario: start a server, play the agents, wait until idle, evaluate, stop."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from covinz import client, config, export, g2o, keyexprs, report
+from covinz.bus import Bus, ZenohBus
+from covinz.scenario import Scenario, load_scenario
+from covinz.supervisor import Supervisor, child_environment, server_specs
+from covinz.trajectory import write_tum
+from covinz.types import MapSnapshot
+
+log = logging.getLogger(__name__)
+
+START_TIMEOUT_S = 60.0
+
+
+class RunFailed(RuntimeError):
+    """The run could not be finished; the message says where to look."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How to run a scenario.
+
+    Attributes:
+        workers: Loop-solver processes.
+        profile: Solver profile.
+        rate: Multiple of real time; None plays as fast as the server acknowledges.
+        lockstep: One keyframe at a time in stamp order across agents.
+        out: Run folder; None makes ``runs/<name>-<time>``.
+    """
+
+    workers: int = 1
+    profile: str = "paper"
+    rate: float | None = None
+    lockstep: bool = False
+    out: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What a run left: its folder and the report that is in it."""
+
+    folder: Path
+    report: dict[str, Any]
+
+
+def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> RunResult:
+    """Run a scenario from start to report.
+
+    Raises:
+        ConfigError: If the scenario or an override in it is not usable.
+        RunFailed: If the server does not come up or the agents cannot be played.
+    """
+    began = time.monotonic()
+    scenario = load_scenario(scenario_file)
+    settings = server_config(scenario, options)
+    folder = make_run_folder(scenario.name, options.out)
+    written = folder / "config.yaml"
+    written.write_text(yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
+    specs = server_specs(written.resolve(), (folder / "server").resolve(), options.workers)
+    (folder / "server").mkdir(exist_ok=True)
+    with Supervisor(specs, folder / "logs", folder / "processes.json"):
+        bus = ZenohBus.open(settings.bus)
+        try:
+            _wait_for_services(bus, len(specs) - 1, folder)
+            played = time.monotonic()
+            summary = _play(scenario_file, settings.bus.endpoint, options, folder)
+            _wait_until_idle(bus, console)
+            server_s = time.monotonic() - played
+            record = report.collect(bus, scenario, summary, folder, server_s)
+        finally:
+            bus.close()
+    made = report.build(record)
+    made["wall_s"] = round(time.monotonic() - began, 3)
+    made["options"] = {
+        "workers": options.workers,
+        "profile": options.profile,
+        "rate": options.rate,
+        "lockstep": options.lockstep,
+    }
+    _write_results(folder, record.snapshots, made)
+    report.draw(record, made, folder / "top_view.png")
+    return RunResult(folder, made)
+
+
+def server_config(scenario: Scenario, options: RunOptions) -> config.Config:
+    """The scenario's settings on a loopback port of its own, with the asked profile."""
+    values = config.merge(
+        scenario.config,
+        {
+            "bus": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
+            "loop_solver": {"profile": options.profile},
+        },
+    )
+    return config.validate(config.Config, values, f"config of scenario {scenario.name}")
+
+
+def free_port() -> int:
+    """A loopback TCP port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def make_run_folder(name: str, out: Path | None) -> Path:
+    """Make the run's folder and let ``runs/latest`` point to it when it lies in ``runs``."""
+    if out is not None:
+        if out.exists() and any(out.iterdir()):
+            raise RunFailed(f"{out} is not empty; a run never overwrites another")
+        out.mkdir(parents=True, exist_ok=True)
+        return out
+    slug = re.sub(r"[^A-Za-z0-9_-]+", "-", name)
+    folder = Path("runs") / f"{slug}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+    folder.mkdir(parents=True)
+    latest = Path("runs") / "latest"
+    latest.unlink(missing_ok=True)
+    latest.symlink_to(folder.name)
+    return folder
+
+
+def _wait_for_services(bus: Bus, count: int, folder: Path) -> None:
+    """Wait until `count` services besides the router hold their liveliness token."""
+    alive: set[str] = set()
+    complete = threading.Event()
+    lock = threading.Lock()
+
+    def seen(key: str, here: bool) -> None:
+        with lock:
+            (alive.add if here else alive.discard)(key)
+            if len([key for key in alive if "/router/" not in key]) >= count:
+                complete.set()
+
+    watch = bus.watch_alive(keyexprs.SERVICES_ALIVE, seen)
+    try:
+        if not complete.wait(START_TIMEOUT_S):
+            names = ", ".join(sorted("/".join(keyexprs.service_of(key)) for key in alive))
+            raise RunFailed(
+                f"after {START_TIMEOUT_S:.0f} s only these services are up: {names or 'none'}; "
+                f"see {folder / 'logs'}"
+            )
+    finally:
+        watch.close()
+
+
+def _play(scenario_file: Path, endpoint: str, options: RunOptions, folder: Path) -> dict[str, Any]:
+    """Play all agents in a process of their own; returns the player's summary."""
+    summary = folder / "agents.json"
+    argv = [sys.executable, "-m", "covinz_agents.play", str(scenario_file)]
+    argv += ["--endpoint", endpoint, "--spool", str(folder / "spool"), "--summary", str(summary)]
+    argv += ["--lockstep"] if options.lockstep else []
+    argv += ["--rate", str(options.rate)] if options.rate is not None else []
+    player = subprocess.Popen(argv, env=child_environment())
+    try:
+        code = player.wait()
+    except BaseException:
+        player.send_signal(signal.SIGTERM)
+        player.wait()
+        raise
+    if code != 0:
+        raise RunFailed(f"playing the agents ended with code {code}")
+    values: dict[str, Any] = json.loads(summary.read_text())
+    return values
+
+
+def _wait_until_idle(bus: Bus, console: Console) -> None:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), console=console) as bars:
+        update = _server_bars(bars)
+        client.wait_idle(bus, on_progress=update)
+
+
+def _server_bars(bars: Progress) -> Callable[[client.Progress], None]:
+    looked_up = bars.add_task("server: looked up", total=None)
+    jobs = bars.add_task("server: jobs left", total=None)
+    most = 1
+
+    def update(now: client.Progress) -> None:
+        nonlocal most
+        most = max(most, now.open_jobs)
+        bars.update(looked_up, completed=now.looked_up, total=now.head)
+        bars.update(jobs, completed=most - now.open_jobs, total=most)
+
+    return update
+
+
+def _write_results(folder: Path, snapshots: Sequence[MapSnapshot], made: dict[str, Any]) -> None:
+    trajectories = folder / "trajectories"
+    trajectories.mkdir()
+    for name, odometry in (("before", True), ("after", False)):
+        for agent, path in export.trajectories(snapshots, odometry=odometry).items():
+            write_tum(trajectories / f"{agent}.{name}.tum", path)
+    for number, snapshot in enumerate(snapshots):
+        suffix = "" if number == 0 else f"-{number + 1}"
+        g2o.write_g2o(folder / f"map{suffix}.g2o", snapshot)
+    (folder / "report.json").write_text(json.dumps(made, indent=2) + "\n")
