@@ -1,0 +1,55 @@
+"""What every front-end gives the player: frames with odometry, and features on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from covinz.trajectory import Trajectory
+from covinz.types import Array, Camera, Features, frozen_array
+
+
+class DatasetError(ValueError):
+    """A recording that cannot be played; the message names the file and, in lists, the line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """An image of a robot before anybody has looked at it.
+
+    Attributes:
+        number: Which of the source's images.
+        stamp_ns: Time of exposure.
+        T_odom_body: (4, 4) odometry at that time.
+    """
+
+    number: int
+    stamp_ns: int
+    T_odom_body: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_odom_body", frozen_array(self.T_odom_body, (4, 4)))
+
+
+class Source(Protocol):
+    """A recording or simulation of one robot."""
+
+    @property
+    def camera(self) -> Camera:
+        """Calibration of all frames."""
+
+    @property
+    def frames(self) -> Sequence[Frame]:
+        """All frames with a pose, in stamp order."""
+
+    @property
+    def skipped(self) -> int:
+        """Images left out because the odometry has no pose for them."""
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        """True poses ``T_world_body``, if they are known."""
+
+    def features(self, frame: Frame) -> Features:
+        """Features of a frame; raises DatasetError when its image cannot be read."""
