@@ -92,12 +92,18 @@ class Supervisor:
         specs: What to run.
         logs: Folder for one log file a process; None lets them write to this process's stderr.
         pid_file: JSON file kept up to date with the pid and the number of starts of each process.
+        grace_s: A process that has not ended this long after SIGTERM is killed.
     """
 
     def __init__(
-        self, specs: Sequence[ProcessSpec], logs: Path | None = None, pid_file: Path | None = None
+        self,
+        specs: Sequence[ProcessSpec],
+        logs: Path | None = None,
+        pid_file: Path | None = None,
+        grace_s: float = STOP_GRACE_S,
     ) -> None:
         self._specs = list(specs)
+        self._grace_s = grace_s
         self._logs = logs
         self._pid_file = pid_file
         self._lock = threading.Lock()
@@ -122,7 +128,7 @@ class Supervisor:
             children = list(self._children.values())
         for child in children:
             child.send_signal(signal.SIGTERM)
-        deadline = time.monotonic() + STOP_GRACE_S
+        deadline = time.monotonic() + self._grace_s
         for child in children:
             try:
                 child.wait(max(0.0, deadline - time.monotonic()))

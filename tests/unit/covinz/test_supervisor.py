@@ -1,0 +1,115 @@
+"""The supervisor with real child processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from covinz.supervisor import ProcessSpec, Supervisor, server_specs
+
+# Says that it is up by making a file named after its pid, then waits for a signal.
+CHILD = (
+    "import os, signal, sys\n"
+    "{before}\n"
+    "open(os.path.join({folder!r}, str(os.getpid())), 'w').close()\n"
+    "signal.pause()\n"
+)
+
+
+def spec(name: str, folder: Path, before: str = "") -> ProcessSpec:
+    return ProcessSpec(
+        name, (sys.executable, "-c", CHILD.format(folder=str(folder), before=before))
+    )
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+    tick = threading.Event()
+    for _ in range(int(timeout_s / 0.02)):
+        if condition():
+            return
+        tick.wait(0.02)
+    pytest.fail("the condition never became true")
+
+
+def started(folder: Path) -> list[int]:
+    return sorted(int(file.name) for file in folder.iterdir())
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_killed_process_is_started_again_and_all_end_at_stop(tmp_path: Path) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    pid_file = tmp_path / "processes.json"
+    with Supervisor([spec("a", up)], logs=tmp_path / "logs", pid_file=pid_file) as supervisor:
+        wait_for(lambda: len(started(up)) == 1)
+        first = started(up)[0]
+        assert json.loads(pid_file.read_text()) == {"a": {"pid": first, "starts": 1}}
+        os.kill(first, signal.SIGKILL)
+        wait_for(lambda: len(started(up)) == 2)
+        wait_for(lambda: json.loads(pid_file.read_text())["a"]["starts"] == 2)
+        assert supervisor.starts() == {"a": 2}
+        second = next(pid for pid in started(up) if pid != first)
+        assert json.loads(pid_file.read_text())["a"]["pid"] == second
+    assert not alive(second)
+
+
+def test_a_process_that_ignores_sigterm_is_killed(
+    tmp_path: Path,
+) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    deaf = "signal.signal(signal.SIGTERM, signal.SIG_IGN)"
+    supervisor = Supervisor([spec("deaf", up, deaf)], grace_s=0.2)
+    supervisor.start()
+    wait_for(lambda: len(started(up)) == 1)
+    supervisor.stop()
+    assert not alive(started(up)[0])
+
+
+def test_output_goes_to_a_log_of_its_own(tmp_path: Path) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    logs = tmp_path / "logs"
+    with Supervisor([spec("talker", up, "print('hello', flush=True)")], logs=logs):
+        wait_for(lambda: len(started(up)) == 1)
+    assert (logs / "talker.log").read_text() == "hello\n"
+
+
+def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    script = (
+        "import signal\n"
+        "from covinz.supervisor import ProcessSpec, Supervisor\n"
+        f"Supervisor([ProcessSpec('a', {spec('a', up).argv!r})]).start()\n"
+        "signal.pause()\n"
+    )
+    parent = os.posix_spawn(sys.executable, [sys.executable, "-c", script], os.environ)
+    wait_for(lambda: len(started(up)) == 1)
+    child = started(up)[0]
+    os.kill(parent, signal.SIGKILL)
+    os.waitpid(parent, 0)
+    wait_for(lambda: not alive(child))
+
+
+def test_the_server_has_each_service_once_and_the_workers_asked_for(tmp_path: Path) -> None:
+    specs = server_specs(tmp_path / "config.yaml", tmp_path, workers=3)
+    assert [spec.name for spec in specs] == [
+        *("router", "ingest", "place_recognition", "optimizer"),
+        *("loop_solver-0", "loop_solver-1", "loop_solver-2"),
+    ]
+    assert all("--data" in spec.argv and "--config" in spec.argv for spec in specs)
