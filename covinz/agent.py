@@ -1,0 +1,225 @@
+"""The robot's side of covinz: send keyframes, receive corrections."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus, ZenohBus
+from covinz.config import Config
+from covinz.corrections import CorrectionFeed
+from covinz.frames import is_rigid
+from covinz.spool import Spool, SpoolRow
+from covinz.types import (
+    AGENT_PATTERN,
+    ULID_PATTERN,
+    Array,
+    Correction,
+    Keyframe,
+    KeyframeContent,
+    KeyframeId,
+    Rejected,
+)
+from covinz.ulid import new_ulid
+from covinz.uploader import Uploader
+
+logger = logging.getLogger(__name__)
+
+
+class Agent:
+    """A robot in the shared map.
+
+        with Agent("a1", "tcp/server:7447", "a1.spool") as agent:
+            for content in frontend.keyframes():
+                agent.send(content)
+
+    Nothing that `send` returned for is lost: it is on the disk of the robot until the server has
+    it on its own, across failures of link, server and robot. What an earlier run left in the
+    spool is uploaded too.
+
+    Args:
+        agent_id: Name of the robot, ``[a-z0-9][a-z0-9_-]{0,31}``; the same at every start.
+        bus: A bus, which stays the caller's, or the endpoint of the server's router.
+        spool: SQLite file on a disk of the robot.
+        config: Configuration; its sections `bus` and `agent` count.
+        session: ULID of this run of the odometry; a new one by default.
+        on_correction: Called with the latest correction whenever there is a new one, always from
+            one thread.
+        on_rejected: Called when the server refused a keyframe for good, from an upload thread.
+
+    Raises:
+        ValueError: If a name is malformed.
+        SpoolError: If the spool cannot be used, e.g. since another process does.
+    """
+
+    def __init__(
+        self,
+        agent_id: str,
+        bus: Bus | str,
+        spool: Path | str,
+        config: Config | None = None,
+        session: str | None = None,
+        on_correction: Callable[[Correction], None] | None = None,
+        on_rejected: Callable[[KeyframeId, Rejected], None] | None = None,
+    ) -> None:
+        if not AGENT_PATTERN.fullmatch(agent_id):
+            raise ValueError(f"not an agent id: {agent_id!r}")
+        self._agent = agent_id
+        self._config = config or Config()
+        self._session = _session(session)
+        self._on_rejected = on_rejected
+        self._sending = threading.Lock()  # session and sequence number go together
+        self._closed = False
+        self._spool = Spool(Path(spool), agent_id, self._config.agent.max_spool_bytes)
+        try:
+            self._bus, self._own_bus = _bus(bus, self._config)
+        except BaseException:
+            self._spool.close()
+            raise
+        self._uploader = Uploader(
+            self._bus, self._spool, agent_id, self._config.agent, self._rejected
+        )
+        self._feed = CorrectionFeed(self._bus, agent_id, self._session, on_correction)
+        self._declared = [
+            self._bus.declare_alive(keyexprs.agent_alive(agent_id)),
+            self._bus.watch_answered(keyexprs.agent_keyframe(agent_id), self._on_ingest),
+            self._bus.watch_answered(keyexprs.agent_correction(agent_id), self._on_optimizer),
+        ]
+        self._uploader.start()
+
+    @property
+    def session(self) -> str:
+        """ULID of the current run of the odometry."""
+        return self._session
+
+    @property
+    def pending(self) -> int:
+        """Uploads that the server has not acknowledged."""
+        return len(self._spool)
+
+    @property
+    def correction(self) -> Correction | None:
+        """The latest correction of this session; None before the first."""
+        return self._feed.latest
+
+    @property
+    def T_map_odom(self) -> Array | None:
+        """(4, 4) where this session's odometry frame is in the shared map; None if unknown."""
+        correction = self._feed.latest
+        return None if correction is None else correction.T_map_odom
+
+    def send(self, content: KeyframeContent) -> KeyframeId:
+        """Hand over a keyframe; it is on the robot's disk when this returns.
+
+        Never waits for the network.
+
+        Raises:
+            ValueError: If the keyframe can be of no use: the pose is not rigid, or the message
+                too large for the bus. It takes no sequence number then.
+            SpoolError: If it cannot be written, e.g. since the disk is full.
+        """
+        if not is_rigid(content.T_odom_body):
+            raise ValueError("T_odom_body is not a finite rigid transform")
+        with self._sending:
+            seq = self._spool.next_seq(self._session)
+            keyframe = _keyframe(KeyframeId(self._agent, self._session, seq), content)
+            payload = codec.encode(keyframe)
+            if len(payload) > self._config.bus.max_message_bytes:
+                raise ValueError(f"a keyframe of {len(payload)} bytes does not fit on the bus")
+            camera = content.camera
+            self._spool.append(keyframe.id, payload, camera.hash, codec.encode(camera))
+        self._uploader.hurry()
+        return keyframe.id
+
+    def new_session(self) -> str:
+        """The odometry was reset: later keyframes begin a new segment; returns its session."""
+        with self._sending:
+            self._session = new_ulid()
+            self._feed.new_session(self._session)
+            return self._session
+
+    def wait_delivered(self, timeout_s: float | None = None) -> bool:
+        """Wait until the server has acknowledged everything; False when time ran out first."""
+        return self._uploader.wait_empty(timeout_s)
+
+    def close(self, timeout_s: float = 1.0) -> None:
+        """Stop; what is not delivered stays in the spool for the next run.
+
+        Args:
+            timeout_s: How long to wait for answers that are under way.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        for declared in self._declared:
+            declared.close()
+        self._uploader.stop(timeout_s)
+        if self._own_bus:
+            self._bus.interrupt()
+            self._uploader.stop(timeout_s)
+        self._feed.close(timeout_s)
+        if self._own_bus:
+            self._bus.close()
+        self._spool.close()
+
+    def __enter__(self) -> Agent:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _on_ingest(self, there: bool) -> None:
+        if there:
+            self._uploader.hurry()
+
+    def _on_optimizer(self, there: bool) -> None:
+        if there:
+            self._feed.refresh()
+
+    def _rejected(self, row: SpoolRow, answer: Rejected) -> None:
+        keyframe = KeyframeId(self._agent, row.session, row.first_seq)
+        what = f"gap from {keyframe}" if row.is_gap else f"keyframe {keyframe}"
+        logger.error("the server refused %s: %s: %s", what, answer.code, answer.reason)
+        if self._on_rejected is None or row.is_gap:
+            return
+        try:
+            self._on_rejected(keyframe, answer)
+        except Exception:  # the robot's code: its mistake must not end the upload
+            logger.exception("the callback for rejections failed")
+
+
+def _session(session: str | None) -> str:
+    if session is None:
+        return new_ulid()
+    if not ULID_PATTERN.fullmatch(session):
+        raise ValueError(f"not a session (ULID): {session!r}")
+    return session
+
+
+def _bus(bus: Bus | str, config: Config) -> tuple[Bus, bool]:
+    """The bus to use, and whether it is ours to close."""
+    if isinstance(bus, str):
+        return ZenohBus.open(config.bus.model_copy(update={"endpoint": bus})), True
+    return bus, False
+
+
+def _keyframe(name: KeyframeId, content: KeyframeContent) -> Keyframe:
+    return Keyframe(
+        id=name,
+        stamp_ns=content.stamp_ns,
+        T_odom_body=content.T_odom_body,
+        camera_hash=content.camera.hash,
+        features=content.features,
+        covariance=content.covariance,
+        gravity_body=content.gravity_body,
+        thumbnail_jpeg=content.thumbnail_jpeg,
+    )

@@ -1,0 +1,234 @@
+"""Upload of a spool: a window of acknowledged queries that outlives every failure of the server."""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus, BusClosed, MessageTooLarge
+from covinz.config import AgentConfig
+from covinz.spool import Spool, SpoolError, SpoolRow
+from covinz.types import Duplicate, NeedCamera, Rejected, RetryAfter, Stored, UploadReply
+
+logger = logging.getLogger(__name__)
+
+# An upload that timed out so often lets newer ones go first: something may be wrong with it alone.
+_PATIENCE = 3
+# So many rows that timed out are watched at once.
+_MAX_SUSPECTS = 100
+# The longest pause that an overloaded server may ask for. [s]
+_MAX_OVERLOAD_S = 60.0
+
+
+class _NoAnswer(Exception):
+    """An upload of which nothing is known."""
+
+
+class Backoff:
+    """Pauses between failures: doubling, with jitter so that a fleet does not come back at once."""
+
+    def __init__(self, config: AgentConfig, draw: random.Random) -> None:
+        self._min_s, self._max_s = config.min_backoff_s, config.max_backoff_s
+        self._draw = draw
+        self._next_s = self._min_s
+
+    def failed(self) -> float:
+        """How long to pause now [s]: between half and all of the current step."""
+        pause_s = self._next_s * self._draw.uniform(0.5, 1.0)
+        self._next_s = min(2 * self._next_s, self._max_s)
+        return pause_s
+
+    def reset(self) -> None:
+        """The server is there."""
+        self._next_s = self._min_s
+
+
+class Uploader:
+    """Sends what is in the spool, oldest first, until each row is acknowledged or refused.
+
+    `config.window` uploads are under way at once. After a failure there is one probe at a time,
+    with growing pauses, until one succeeds.
+
+    Args:
+        bus: Way to the server.
+        spool: What is to be sent.
+        agent: Whose spool it is.
+        config: Window, time-outs, pauses.
+        on_rejected: Called from an upload thread when the server refused a row for good.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        spool: Spool,
+        agent: str,
+        config: AgentConfig,
+        on_rejected: Callable[[SpoolRow, Rejected], None],
+    ) -> None:
+        self._bus = bus
+        self._spool = spool
+        self._agent = agent
+        self._config = config
+        self._on_rejected = on_rejected
+        self._changed = threading.Condition()  # guards what follows
+        self._stopping = False
+        self._under_way = 0
+        self._failing = False
+        self._resume_at = 0.0  # no upload before this time of the monotonic clock
+        self._may_hurry = True  # whether news may end the pause early
+        self._backoff = Backoff(config, random.Random())
+        self._timeouts: Counter[int] = Counter()
+        self._registering = threading.Lock()  # one thread registers a camera, the others wait
+        self._registered: set[str] = set()
+        self._threads = [
+            threading.Thread(target=self._run, name=f"upload-{i}", daemon=True)
+            for i in range(config.window)
+        ]
+
+    def start(self) -> None:
+        """Begin to send."""
+        for thread in self._threads:
+            thread.start()
+
+    def hurry(self) -> None:
+        """There is something new, or the server is back: do not wait for the end of a pause."""
+        with self._changed:
+            if self._may_hurry:
+                self._resume_at = 0.0
+            self._changed.notify_all()
+
+    def wait_empty(self, timeout_s: float | None) -> bool:
+        """Wait until the spool is empty; False when time ran out first or after `stop`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopping or not len(self._spool), timeout_s)
+            return not self._stopping and not len(self._spool)
+
+    def stop(self, timeout_s: float) -> None:
+        """Send nothing more; wait so long for uploads under way, whose answers are lost then."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        deadline = time.monotonic() + timeout_s
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+
+    def _run(self) -> None:
+        while (row := self._next()) is not None:
+            started = time.monotonic()
+            try:
+                answer: UploadReply | None = self._attempt(row)
+            except _NoAnswer as error:
+                logger.debug("no answer to %s: %s", row, error)
+                answer = None
+            timed_out = time.monotonic() - started >= self._config.ack_timeout_s
+            is_settled = self._settle(row, answer)
+            self._done(row.position, answer, is_settled, timed_out)
+
+    def _next(self) -> SpoolRow | None:
+        """The next row to send, when it is time; None at the end."""
+        with self._changed:
+            while not self._stopping:
+                pause_s = self._resume_at - time.monotonic()
+                if pause_s > 0:
+                    self._changed.wait(pause_s)
+                elif (self._failing and self._under_way) or (row := self._take()) is None:
+                    self._changed.wait(self._config.max_backoff_s)
+                else:
+                    self._under_way += 1
+                    return row
+        return None
+
+    def _take(self) -> SpoolRow | None:
+        suspects = [p for p, count in self._timeouts.items() if count >= _PATIENCE]
+        try:
+            return self._spool.take(later=suspects)
+        except SpoolError as error:
+            logger.error("cannot read what is to be sent: %s", error)
+            return None
+
+    def _attempt(self, row: SpoolRow) -> UploadReply:
+        """Send a row, and its calibration first where the server lacks it."""
+        key = keyexprs.agent_keyframe(self._agent)
+        answer = self._register(row.camera_hash) or self._ask(key, row.payload)
+        if isinstance(answer, NeedCamera):
+            with self._registering:
+                self._registered.discard(row.camera_hash)
+            answer = self._register(row.camera_hash) or self._ask(key, row.payload)
+        return answer
+
+    def _register(self, camera_hash: str) -> UploadReply | None:
+        """Make the server know a calibration; None when it does, else why it does not."""
+        with self._registering:
+            if not camera_hash or camera_hash in self._registered:
+                return None
+            answer = self._ask(keyexprs.agent_camera(self._agent), self._spool.camera(camera_hash))
+            if isinstance(answer, Stored | Duplicate):
+                self._registered.add(camera_hash)
+                return None
+            return answer
+
+    def _ask(self, key: str, payload: bytes) -> UploadReply:
+        try:
+            replies = self._bus.ask(key, payload, timeout_s=self._config.ack_timeout_s)
+        except MessageTooLarge as error:
+            return Rejected("too_large", str(error))
+        except BusClosed as error:
+            raise _NoAnswer(str(error)) from error
+        if not replies:
+            raise _NoAnswer("nobody there, or too late")
+        try:
+            return codec.decode_upload_reply(replies[0])
+        except codec.MalformedMessage as error:
+            raise _NoAnswer(str(error)) from error
+
+    def _settle(self, row: SpoolRow, answer: UploadReply | None) -> bool:
+        """Note the outcome in the spool; whether the row is done with."""
+        try:
+            match answer:
+                case Stored() | Duplicate():
+                    self._spool.delivered(row.position)
+                    return True
+                case Rejected():
+                    self._spool.rejected(row.position, answer)
+                    self._on_rejected(row, answer)
+                    return True
+        except SpoolError as error:
+            # After `stop` the spool may be closed: then this is the expected end.
+            level = logging.DEBUG if self._stopping else logging.ERROR
+            logger.log(level, "an upload that was answered will be sent again: %s", error)
+        self._spool.release(row.position)
+        return False
+
+    def _done(
+        self, position: int, answer: UploadReply | None, is_settled: bool, timed_out: bool
+    ) -> None:
+        with self._changed:
+            self._under_way -= 1
+            if is_settled:
+                self._failing = False
+                self._resume_at = 0.0
+                self._backoff.reset()
+                self._timeouts.pop(position, None)
+            else:
+                self._pause(answer.seconds if isinstance(answer, RetryAfter) else 0.0)
+                if timed_out:
+                    self._suspect(position)
+            self._changed.notify_all()
+
+    def _pause(self, overload_s: float) -> None:
+        self._failing = True
+        now = time.monotonic()
+        if now < self._resume_at:  # uploads that fail together are one failure
+            return
+        self._may_hurry = overload_s == 0.0
+        self._resume_at = now + max(self._backoff.failed(), min(overload_s, _MAX_OVERLOAD_S))
+
+    def _suspect(self, position: int) -> None:
+        self._timeouts[position] += 1
+        if len(self._timeouts) > _MAX_SUSPECTS:  # then it is the link, not the rows
+            self._timeouts.clear()

@@ -1,0 +1,1 @@
+"""Ingest: the process that owns the keyframe log."""

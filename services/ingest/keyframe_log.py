@@ -1,0 +1,183 @@
+"""The keyframe log: every admitted upload once, durable, numbered without gaps.
+
+One thread owns it and commits uploads in groups; `log_reader` reads it from another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from covinz import codec
+from covinz.durable import DurableFile, DurableFileError, FileKind
+from covinz.types import Camera, Duplicate, Gap, Keyframe, Rejected, Stored
+from covinz.ulid import new_ulid
+from services.ingest.admission import AdmittedCamera, AdmittedUpload, Code
+
+# Big columns come last: SQLite reads a row only as far as it must, so a scan of the poses does
+# not touch the features.
+LOG_FILE = FileKind(
+    name="keyframe log",
+    application_id=b"cvzL",
+    version=1,
+    schema="""
+    CREATE TABLE identity (log_id TEXT NOT NULL);
+    CREATE TABLE entry (
+        log_index INTEGER PRIMARY KEY,
+        agent TEXT NOT NULL,
+        session TEXT NOT NULL,
+        is_gap INTEGER NOT NULL,
+        first_seq INTEGER NOT NULL,
+        last_seq INTEGER NOT NULL,
+        digest BLOB NOT NULL,
+        pose BLOB NOT NULL,
+        payload BLOB NOT NULL
+    );
+    CREATE UNIQUE INDEX entry_id ON entry (agent, session, is_gap, first_seq);
+    CREATE TABLE camera (hash TEXT PRIMARY KEY, agent TEXT NOT NULL, payload BLOB NOT NULL);
+    """,
+)
+
+
+class LogUnavailable(RuntimeError):
+    """The commit failed (disk full, locked, damaged); the log is as it was before."""
+
+
+@dataclass(frozen=True, slots=True)
+class AgentTotals:
+    """What the log holds of one agent."""
+
+    keyframes: int = 0
+    payload_bytes: int = 0
+    gaps: int = 0
+    dropped_keyframes: int = 0
+
+
+class KeyframeLog:
+    """The writing side of the log, for one thread.
+
+    Args:
+        path: SQLite file; made when it is not there, with a new identity.
+        busy_timeout_s: How long a commit waits for another connection before it fails.
+
+    Raises:
+        DurableFileError: If the file is in use, damaged, or of another kind or version.
+    """
+
+    def __init__(self, path: Path, busy_timeout_s: float = 5.0) -> None:
+        self._file = DurableFile(path, LOG_FILE, busy_timeout_s)
+        try:
+            self.log_id = self._identity()
+            self._head = _count(self._file.db)
+            self._cameras = dict(self._stored_cameras())
+        except (sqlite3.Error, codec.MalformedMessage) as error:
+            self._file.close()
+            raise DurableFileError(f"{path}: the keyframe log is damaged: {error}") from error
+
+    @property
+    def head(self) -> int:
+        """Number of entries: the next log_index to be given."""
+        return self._head
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """Registered calibrations by hash."""
+        return MappingProxyType(self._cameras)
+
+    def append(
+        self, batch: Sequence[AdmittedUpload | AdmittedCamera]
+    ) -> list[Stored | Duplicate | Rejected]:
+        """Make all of `batch` durable in one commit; one answer each, in order.
+
+        Raises:
+            LogUnavailable: If nothing of it could be stored.
+        """
+        answers: list[Stored | Duplicate | Rejected] = []
+        try:
+            with self._file.transaction() as db:
+                head = _count(db)
+                for record in batch:
+                    if isinstance(record, AdmittedCamera):
+                        answers.append(_put_camera(db, record))
+                    else:
+                        answers.append(_put_entry(db, head, record))
+                        head += isinstance(answers[-1], Stored)
+        except sqlite3.Error as error:
+            raise LogUnavailable(f"{self._file.path}: {error}") from error
+        self._head = head
+        for record in batch:
+            if isinstance(record, AdmittedCamera):
+                self._cameras[record.camera.hash] = record.camera
+        return answers
+
+    def totals(self) -> dict[str, AgentTotals]:
+        """What the log holds of each agent."""
+        rows = self._file.db.execute(
+            "SELECT agent, SUM(NOT is_gap), SUM(length(payload)), SUM(is_gap),"
+            " SUM(is_gap * (last_seq - first_seq + 1)) FROM entry GROUP BY agent"
+        )
+        return {agent: AgentTotals(*counts) for agent, *counts in rows}
+
+    def camera_counts(self) -> dict[str, int]:
+        """Number of calibrations that each agent has registered."""
+        return dict(self._file.db.execute("SELECT agent, COUNT(*) FROM camera GROUP BY agent"))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _identity(self) -> str:
+        with self._file.transaction() as db:
+            row = db.execute("SELECT log_id FROM identity").fetchone()
+            if row is None:
+                row = (new_ulid(),)
+                db.execute("INSERT INTO identity VALUES (?)", row)
+        return str(row[0])
+
+    def _stored_cameras(self) -> Iterator[tuple[str, Camera]]:
+        for name, payload in self._file.db.execute("SELECT hash, payload FROM camera"):
+            yield name, codec.decode(payload, Camera)
+
+
+def _count(db: sqlite3.Connection) -> int:
+    return int(db.execute("SELECT COALESCE(MAX(log_index) + 1, 0) FROM entry").fetchone()[0])
+
+
+def _put_entry(
+    db: sqlite3.Connection, log_index: int, record: AdmittedUpload
+) -> Stored | Duplicate | Rejected:
+    name, last_seq = _name(record.item)
+    digest = hashlib.blake2b(record.payload, digest_size=16).digest()
+    row = db.execute(
+        "SELECT digest FROM entry WHERE agent = ? AND session = ? AND is_gap = ? AND first_seq = ?",
+        name,
+    ).fetchone()
+    if row is not None and row[0] == digest:
+        return Duplicate()
+    if row is not None:
+        return Rejected(Code.CONFLICT.value, "the log holds other content under this id")
+    db.execute(
+        "INSERT INTO entry VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        (log_index, *name, last_seq, digest, record.pose, record.payload),
+    )
+    return Stored()
+
+
+def _name(item: Keyframe | Gap) -> tuple[tuple[str, str, bool, int], int]:
+    """The columns that identify an entry, and the last sequence number it covers."""
+    if isinstance(item, Gap):
+        return (item.agent, item.session, True, item.first_seq), item.last_seq
+    kf = item.id
+    return (kf.agent, kf.session, False, kf.seq), kf.seq
+
+
+def _put_camera(db: sqlite3.Connection, record: AdmittedCamera) -> Stored | Duplicate:
+    inserted = db.execute(
+        "INSERT INTO camera VALUES (?, ?, ?) ON CONFLICT (hash) DO NOTHING",
+        (record.camera.hash, record.agent, record.payload),
+    ).rowcount
+    return Stored() if inserted else Duplicate()

@@ -1,0 +1,130 @@
+"""Bulk reads of the keyframe log, beside the commits: pages, single keyframes and cameras."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import sqlite3
+import threading
+from pathlib import Path
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus, Query
+from covinz.durable import open_reader
+from covinz.types import KeyframeId, LogRange, LogView
+
+logger = logging.getLogger(__name__)
+
+# SQL per view, so that the column is never text from outside.
+_RANGE = {
+    LogView.POSE: "SELECT log_index, pose FROM entry WHERE log_index >= ? ORDER BY log_index",
+    LogView.FULL: "SELECT log_index, payload FROM entry WHERE log_index >= ? ORDER BY log_index",
+}
+# Larger numbers do not fit in a column of SQLite; no entry has them.
+_MAX_INTEGER = 2**63 - 1
+# Questions that wait for their turn; later ones go unanswered and are asked again.
+_MAX_WAITING = 64
+
+
+class LogReader:
+    """The reading side of the log, for one thread; never delays a commit.
+
+    Args:
+        path: The file of an open `KeyframeLog`.
+        page_bytes: Size that a page does not exceed, unless its first entry alone does.
+
+    Raises:
+        sqlite3.Error: From every method, if the file cannot be read.
+    """
+
+    def __init__(self, path: Path, page_bytes: int) -> None:
+        self._page_bytes = page_bytes
+        self._db = open_reader(path)
+        (self._log_id,) = self._db.execute("SELECT log_id FROM identity").fetchone()
+
+    def page(self, asked: LogRange) -> bytes:
+        """The LogPage message that answers `asked`; empty only at the head."""
+        self._db.execute("BEGIN")  # head and entries of one moment
+        try:
+            (head,) = self._db.execute(
+                "SELECT COALESCE(MAX(log_index) + 1, 0) FROM entry"
+            ).fetchone()
+            entries: list[tuple[int, bytes]] = []
+            size = 0
+            start = min(asked.start, _MAX_INTEGER)
+            for log_index, payload in self._db.execute(_RANGE[asked.view], (start,)):
+                size += len(payload)
+                if entries and size > self._page_bytes:
+                    break
+                entries.append((log_index, payload))
+        finally:
+            self._db.execute("ROLLBACK")
+        return codec.encode_log_page(self._log_id, head, entries)
+
+    def keyframe(self, keyframe_id: KeyframeId) -> bytes | None:
+        """The Keyframe message as it was uploaded; None when the log has none."""
+        if keyframe_id.seq > _MAX_INTEGER:
+            return None
+        return self._one(
+            "SELECT payload FROM entry"
+            " WHERE agent = ? AND session = ? AND is_gap = 0 AND first_seq = ?",
+            (keyframe_id.agent, keyframe_id.session, keyframe_id.seq),
+        )
+
+    def camera(self, camera_hash: str) -> bytes | None:
+        """The Camera message as it was registered; None when there is none."""
+        return self._one("SELECT payload FROM camera WHERE hash = ?", (camera_hash,))
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._db.close()
+
+    def _one(self, sql: str, values: tuple[str | int, ...]) -> bytes | None:
+        row: tuple[bytes] | None = self._db.execute(sql, values).fetchone()
+        return row[0] if row is not None else None
+
+
+class LogReads:
+    """Answers questions about the log, from a thread of its own.
+
+    An unknown keyframe or camera is answered by an empty message; a question that makes no sense,
+    or that comes when too many wait, gets no answer at all.
+    """
+
+    def __init__(self, bus: Bus, reader: LogReader) -> None:
+        self._reader = reader
+        self._waiting: queue.Queue[Query | None] = queue.Queue(_MAX_WAITING)
+        self._thread = threading.Thread(target=self._run, name="log-reads")
+        self._thread.start()
+        keys = (keyexprs.LOG_RANGE, keyexprs.KEYFRAMES, keyexprs.CAMERAS)
+        self._declared = [bus.answer(key, self._on_query) for key in keys]
+
+    def close(self) -> None:
+        """Answer what waits, then stop."""
+        for declared in self._declared:
+            declared.close()
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _on_query(self, query: Query) -> None:
+        try:
+            self._waiting.put_nowait(query)
+        except queue.Full:
+            query.drop()
+
+    def _run(self) -> None:
+        while (query := self._waiting.get()) is not None:
+            try:
+                answer = self._answer(query)
+            except (ValueError, sqlite3.Error) as error:
+                logger.warning("no answer to %s: %s", query.key, error)
+                query.drop()
+            else:
+                query.reply(answer or b"")
+
+    def _answer(self, query: Query) -> bytes | None:
+        if query.key == keyexprs.LOG_RANGE:
+            return self._reader.page(codec.decode(query.payload, LogRange))
+        if query.key.startswith("covinz/camera/"):
+            return self._reader.camera(keyexprs.camera_of(query.key))
+        return self._reader.keyframe(keyexprs.keyframe_of(query.key))

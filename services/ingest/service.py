@@ -1,0 +1,195 @@
+"""Ingest: uploads in, the keyframe log out. One thread owns the log; the bus only enqueues."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack, closing
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus
+from covinz.config import IngestConfig
+from covinz.service import Context, StatusRequest
+from covinz.types import (
+    Duplicate,
+    Gap,
+    LogHead,
+    NeedCamera,
+    Rejected,
+    RetryAfter,
+    Status,
+    Stored,
+    UploadReply,
+)
+from services.ingest.admission import (
+    AdmittedCamera,
+    AdmittedUpload,
+    Code,
+    admit_camera,
+    admit_upload,
+    rejected,
+)
+from services.ingest.intake import Intake, Upload
+from services.ingest.keyframe_log import KeyframeLog, LogUnavailable
+from services.ingest.log_reader import LogReader, LogReads
+
+logger = logging.getLogger(__name__)
+
+# Agents and codes whose first rejection is logged as a warning.
+_MAX_COMPLAINTS = 1000
+
+
+def run(context: Context) -> None:
+    """Serve uploads until `context.inbox` raises Stopped.
+
+    Raises:
+        DurableFileError: If the log's file cannot be used.
+    """
+    config = context.config.ingest
+    path = context.data_dir / "ingest.sqlite"
+    intake = Intake(context.inbox, config)
+    with ExitStack() as stack:
+        log = stack.enter_context(closing(KeyframeLog(path)))
+        reader = stack.enter_context(closing(LogReader(path, config.page_bytes)))
+        stack.enter_context(closing(LogReads(context.bus, reader)))
+        ingest = Ingest(log, intake, context.bus, config, context.instance)
+        for key, callback in (
+            (keyexprs.AGENT_KEYFRAMES, intake.on_keyframe),
+            (keyexprs.AGENT_CAMERAS, intake.on_camera),
+        ):
+            stack.enter_context(closing(context.bus.answer(key, callback)))
+        ingest.announce()
+        while True:
+            first = context.inbox.take(None)
+            ingest.handle([first, *context.inbox.drain(config.max_batch - 1)])
+
+
+class Ingest:
+    """Admits uploads, commits them in groups and answers only what is durable."""
+
+    def __init__(
+        self, log: KeyframeLog, intake: Intake, bus: Bus, config: IngestConfig, instance: str
+    ) -> None:
+        self._log = log
+        self._intake = intake
+        self._bus = bus
+        self._config = config
+        self._instance = instance
+        self._complained: set[tuple[str, str]] = set()
+        self._counters: Counter[str] = Counter()
+        for agent, totals in log.totals().items():
+            self._counters[f"keyframes.{agent}"] = totals.keyframes
+            self._counters[f"bytes.{agent}"] = totals.payload_bytes
+            self._counters[f"gaps.{agent}"] = totals.gaps
+            self._counters[f"dropped_keyframes.{agent}"] = totals.dropped_keyframes
+        self._cameras_of: Counter[str] = Counter(log.camera_counts())
+
+    def handle(self, events: Sequence[object]) -> None:
+        """Store all uploads among `events` with one commit, then answer everything."""
+        self._store([event for event in events if isinstance(event, Upload)])
+        for event in events:
+            if isinstance(event, StatusRequest):
+                event.query.reply(codec.encode(self.status()))
+
+    def announce(self) -> None:
+        """Wake the log's readers."""
+        self._bus.put(keyexprs.LOG_HEAD, codec.encode(LogHead(self._log.log_id, self._log.head)))
+
+    def status(self) -> Status:
+        """Cursor is the head of the log; counters since the log began, refusals since the start."""
+        counters = self._counters + self._intake.refused
+        for name in ("keyframes", "bytes", "gaps", "dropped_keyframes"):
+            counters[name] = sum(n for key, n in counters.items() if key.startswith(f"{name}."))
+        return Status(
+            service="ingest",
+            instance=self._instance,
+            log_id=self._log.log_id,
+            cursor=self._log.head,
+            pending=self._intake.waiting,
+            leased=0,
+            dirty=False,
+            counters={name: float(count) for name, count in sorted(counters.items())},
+        )
+
+    def _store(self, uploads: Sequence[Upload]) -> None:
+        admitted: list[tuple[Upload, AdmittedUpload | AdmittedCamera]] = []
+        for upload in uploads:
+            verdict = self._admit(upload)
+            if isinstance(verdict, AdmittedUpload | AdmittedCamera):
+                admitted.append((upload, verdict))
+            else:
+                self._answer(upload, verdict)
+        if not admitted:
+            return
+        head = self._log.head
+        for (upload, record), answer in zip(admitted, self._commit(admitted), strict=True):
+            if isinstance(answer, Stored):
+                self._count(upload.agent, record)
+            self._answer(upload, answer)
+        if self._log.head != head:
+            self.announce()
+
+    def _admit(
+        self, upload: Upload
+    ) -> AdmittedUpload | AdmittedCamera | NeedCamera | Rejected | RetryAfter:
+        try:
+            if not upload.is_camera:
+                return admit_upload(upload.agent, upload.payload, self._log.cameras, self._config)
+            verdict = admit_camera(upload.agent, upload.payload)
+        except Exception:  # a bug of ours must not let one agent's upload stop the others
+            logger.exception("cannot judge an upload of %s", upload.agent)
+            return RetryAfter(self._config.retry_after_s, "internal error")
+        if isinstance(verdict, AdmittedCamera) and self._is_one_too_many(verdict):
+            limit = self._config.max_cameras_per_agent
+            return rejected(Code.TOO_MANY_CAMERAS, f"{upload.agent} has {limit} already")
+        return verdict
+
+    def _is_one_too_many(self, record: AdmittedCamera) -> bool:
+        known = record.camera.hash in self._log.cameras
+        return not known and self._cameras_of[record.agent] >= self._config.max_cameras_per_agent
+
+    def _commit(
+        self, admitted: Sequence[tuple[Upload, AdmittedUpload | AdmittedCamera]]
+    ) -> Sequence[UploadReply]:
+        try:
+            return self._log.append([record for _, record in admitted])
+        except LogUnavailable as error:
+            logger.error("%d uploads not stored: %s", len(admitted), error)
+            self._counters["failed_commits"] += 1
+            return [RetryAfter(self._config.retry_after_s, "cannot store now")] * len(admitted)
+
+    def _count(self, agent: str, record: AdmittedUpload | AdmittedCamera) -> None:
+        if isinstance(record, AdmittedCamera):
+            self._cameras_of[agent] += 1
+            return
+        self._counters[f"bytes.{agent}"] += len(record.payload)
+        if isinstance(record.item, Gap):
+            dropped = record.item.last_seq - record.item.first_seq + 1
+            self._counters[f"gaps.{agent}"] += 1
+            self._counters[f"dropped_keyframes.{agent}"] += dropped
+        else:
+            self._counters[f"keyframes.{agent}"] += 1
+
+    def _answer(self, upload: Upload, answer: UploadReply) -> None:
+        match answer:
+            case Duplicate():
+                self._counters["duplicates"] += 1
+            case NeedCamera():
+                self._counters["need_camera"] += 1
+            case RetryAfter():
+                self._counters["retry_after"] += 1
+            case Rejected(code, reason):
+                self._counters[f"rejected.{code}"] += 1
+                self._log_rejection(upload.agent, code, reason)
+        self._intake.done(upload)
+        upload.query.reply(codec.encode(answer))
+
+    def _log_rejection(self, agent: str, code: str, reason: str) -> None:
+        """Say it once per agent and code: a flood of bad uploads must not flood the logs."""
+        is_new = (agent, code) not in self._complained and len(self._complained) < _MAX_COMPLAINTS
+        level = logging.DEBUG
+        if is_new:
+            self._complained.add((agent, code))
+            level = logging.WARNING
+        logger.log(level, "rejected an upload of %s: %s: %s", agent, code, reason)
