@@ -1,0 +1,138 @@
+"""The figures of a run against values worked out by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from covinz import frames, report
+from covinz.trajectory import Trajectory
+from covinz.types import (
+    JobRecord,
+    JobState,
+    KeyframeId,
+    LoopClosure,
+    LoopJob,
+    MapSnapshot,
+    MapSummary,
+    Outcome,
+    Rejection,
+    RigMember,
+    SegmentId,
+)
+
+SESSIONS = {"a": "0" * 25 + "A", "b": "0" * 25 + "B"}
+SECOND = 1_000_000_000
+
+
+def kf(agent: str, seq: int) -> KeyframeId:
+    return KeyframeId(agent, SESSIONS[agent], seq)
+
+
+def pose(x: float, y: float = 0.0, yaw_rad: float = 0.0) -> np.ndarray:
+    return frames.transform(frames.so3_exp([0.0, 0.0, yaw_rad]), [x, y, 0.0])
+
+
+def job(outcome: Outcome) -> JobRecord:
+    rigs = [(RigMember(found, np.eye(4), "0" * 16),) for found in (outcome.query, outcome.cand)]
+    made = LoopJob(outcome.job_id, rigs[0], rigs[1], 10.0)
+    return JobRecord(made, JobState.DONE, 1, outcome)
+
+
+def loop(query: KeyframeId, cand: KeyframeId, T: np.ndarray, ms: float = 10.0) -> JobRecord:
+    # sigma 0.1 in every direction, so that an error of 0.1 m alone has a NEES of 1
+    covariance = np.eye(6) * 0.01
+    return job(LoopClosure(f"{ms:032.0f}", query, cand, T, covariance, 120, 300, ms))
+
+
+def rejection(stage: str, ms: float = 2.0) -> JobRecord:
+    return job(Rejection("1" * 32, kf("b", 1), kf("a", 0), stage, 3, 30, "pair 0", ms))
+
+
+def snapshot(agents: str, T_map_body: dict[str, list[np.ndarray]]) -> MapSnapshot:
+    """Three keyframes an agent, one second apart; odometry is right but for a frame of its own."""
+    ids = [kf(agent, seq) for agent in agents for seq in range(3)]
+    summary = MapSummary(
+        SESSIONS[agents[0]], 1, tuple(SegmentId(a, SESSIONS[a]) for a in agents), len(ids), 0
+    )
+    truth = [pose(float(found.seq)) for found in ids]
+    return MapSnapshot(
+        summary=summary,
+        keyframes=tuple(ids),
+        stamps_ns=np.array([found.seq * SECOND for found in ids]),
+        T_map_body=np.stack([T for agent in agents for T in T_map_body[agent]]),
+        T_odom_body=pose(5.0, 5.0, 1.0) @ np.stack(truth),
+        edge_from=np.array([0]),
+        edge_to=np.array([1]),
+        T_from_to=pose(1.0)[None],
+        information=np.eye(6)[None],
+        is_loop=np.array([True]),
+    )
+
+
+TRUTH = Trajectory(np.arange(3) * SECOND, np.stack([pose(float(x)) for x in range(3)]))
+PLAYED = {
+    agent: {"session": SESSIONS[agent], "keyframes": 3, "bytes": 6000, "duration_s": 2.0}
+    for agent in "ab"
+}
+
+
+def record(
+    jobs: list[JobRecord], b_offset_m: float = 0.0, played: dict | None = None
+) -> report.RunRecord:
+    poses = {
+        "a": [pose(float(x)) for x in range(3)],
+        "b": [pose(float(x), b_offset_m) for x in range(3)],
+    }
+    truths = {"a": TRUTH, "b": TRUTH}
+    return report.RunRecord([snapshot("ab", poses)], jobs, played or PLAYED, truths, 7.0)
+
+
+def test_a_map_with_two_agents_apart_has_half_their_distance_as_joint_error() -> None:
+    made = report.build(record([], b_offset_m=0.2))
+    assert made["joint_ate_before_m"] == pytest.approx(0.0, abs=1e-4)
+    # One alignment puts both 0.1 m beside the truth; each alone is perfect.
+    assert made["joint_ate_after_m"] == pytest.approx(0.1, abs=1e-4)
+    assert made["joint_ate_after_separate_m"] == pytest.approx(0.0, abs=1e-4)
+    assert made["maps"] == [["a", "b"]]
+    assert made["agents"]["b"]["ate_after_m"] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_loops_are_counted_and_measured_against_the_truth() -> None:
+    # True T_cand_query of (b, 2) in (a, 0): two metres ahead.
+    good = loop(kf("b", 2), kf("a", 0), pose(2.1), ms=20.0)
+    wrong = loop(kf("a", 2), kf("a", 0), pose(2.0, 0.0, np.deg2rad(9.0)), ms=40.0)
+    made = report.build(record([good, wrong, rejection("matches"), rejection("matches")]))
+    loops = made["loops"]
+    assert (loops["candidates"], loops["accepted"], loops["intra"], loops["inter"]) == (4, 2, 1, 1)
+    assert loops["inter_pairs"] == {"a-b": 1}
+    assert loops["rejected"] == {"matches": 2}
+    assert loops["wrong"] == 1
+    assert loops["t_err_median_m"] == pytest.approx(0.05, abs=1e-3)
+    assert loops["r_err_median_deg"] == pytest.approx(4.5, abs=1e-2)
+    assert loops["nees_mean"] == pytest.approx((1.0 + np.deg2rad(9.0) ** 2 / 0.01) / 2, abs=0.01)
+    assert made["solver_ms"] == {"median": 11.0, "p95": pytest.approx(37.0)}
+
+
+def test_keyframes_that_were_sent_but_are_in_no_map_are_lost() -> None:
+    played = {**PLAYED, "b": {**PLAYED["b"], "keyframes": 5}}
+    made = report.build(record([], played=played))
+    assert made["keyframes_lost"] == 2
+    assert made["kB_per_s_per_agent"] == pytest.approx(3.0)
+
+
+def test_without_groundtruth_the_errors_are_absent_and_the_rest_is_there() -> None:
+    full = record([loop(kf("b", 2), kf("a", 0), pose(2.0))])
+    blind = report.RunRecord(full.snapshots, full.jobs, full.played, {}, 7.0)
+    made = report.build(blind)
+    assert made["joint_ate_after_m"] is None
+    assert made["loops"]["accepted"] == 1
+    assert made["loops"]["wrong"] is None
+
+
+def test_the_picture_is_drawn(tmp_path: Path) -> None:
+    full = record([loop(kf("b", 2), kf("a", 0), pose(2.0))])
+    report.draw(full, report.build(full), tmp_path / "top_view.png")
+    assert (tmp_path / "top_view.png").read_bytes().startswith(b"\x89PNG")
