@@ -18,6 +18,7 @@ CAMERAS = "covinz/camera/*"
 JOB_LEASE = "covinz/job/lease"
 JOB_DONE = "covinz/job/done"
 JOB_LIST = "covinz/job/list"
+WORKERS_ALIVE = "covinz/job/worker/*/alive"
 LOOP = "covinz/loop"
 REJECTION = "covinz/rejection"
 MAP_LIST = "covinz/map/list"
@@ -87,6 +88,19 @@ def camera_of(key: str) -> str:
     if parts[:2] != ["covinz", "camera"] or len(parts) != 3:
         raise ValueError(f"no camera in key {key!r}")
     return parts[2]
+
+
+def worker_alive(worker: str) -> str:
+    """Liveliness token of one run of a worker: while it is there its lease may last."""
+    return f"covinz/job/worker/{worker}/alive"
+
+
+def worker_of(key: str) -> str:
+    """The worker in a ``covinz/job/worker/{worker}/alive`` key; ValueError otherwise."""
+    parts = key.split("/")
+    if parts[:3] != ["covinz", "job", "worker"] or len(parts) != 5:
+        raise ValueError(f"no worker in key {key!r}")
+    return parts[3]
 
 
 def map_snapshot(map_id: str) -> str:

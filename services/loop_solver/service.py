@@ -1,0 +1,59 @@
+"""A loop solver as a process: one thread works, the owner of the inbox answers for it."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from covinz import codec
+from covinz.keyframes import RemoteKeyframeStore
+from covinz.service import Context, StatusRequest
+from covinz.types import Status
+from covinz.ulid import new_ulid
+from services.loop_solver.solver import LoopSolver
+from services.loop_solver.worker import Worker
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorkerFailed:
+    """The working thread ended with an error, so the process must too."""
+
+    error: BaseException
+
+
+def run(context: Context) -> None:
+    """Work until `context.inbox` raises Stopped; the job at hand is finished first."""
+    config = context.config
+    store = RemoteKeyframeStore(context.bus, config.worker.cache_keyframes)
+    worker = Worker(
+        # A process that is started again must not be taken for the one that died.
+        worker=f"{context.instance}-{new_ulid()}",
+        bus=context.bus,
+        solve=LoopSolver(config.loop_solver, store).solve,
+        config=config.worker,
+        lease_timeout_s=config.place_recognition.long_poll_s + config.bus.query_timeout_s,
+        on_failure=lambda error: context.inbox.put_always(WorkerFailed(error)),
+    )
+    with ExitStack() as stack:
+        stack.callback(worker.stop)
+        worker.start()
+        while True:
+            event = context.inbox.take(None)
+            if isinstance(event, StatusRequest):
+                event.query.reply(codec.encode(status(context.instance, worker)))
+            elif isinstance(event, WorkerFailed):
+                raise event.error
+
+
+def status(instance: str, worker: Worker) -> Status:
+    """A worker follows no log; `leased` says whether it works on a job."""
+    return Status(
+        service="loop_solver",
+        instance=instance,
+        log_id="",
+        cursor=0,
+        pending=0,
+        leased=int(worker.busy),
+        dirty=False,
+        counters={name: float(count) for name, count in sorted(worker.counters.items())},
+    )

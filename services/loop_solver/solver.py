@@ -1,0 +1,127 @@
+"""One job to one outcome: fetch the keyframes, form the rigs, ask the numeric core.
+
+The outcome, but for the time it took, depends on the job, the configuration and the logged
+keyframes alone; not on the worker, nor on what it solved before.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import covinz_core
+
+from covinz.config import LoopSolverConfig
+from covinz.keyframes import CameraNotFound, KeyframeNotFound, KeyframeStore
+from covinz.types import LoopClosure, LoopJob, Outcome, Rejection
+from services.loop_solver.rig import build_rig
+
+
+class LoopSolver:
+    """Verifies candidates with the `paper` profile.
+
+    Args:
+        config: Part of the identity of every job.
+        store: Where keyframes and calibrations come from.
+        clock_s: Seconds, for `solver_ms`.
+    """
+
+    def __init__(
+        self,
+        config: LoopSolverConfig,
+        store: KeyframeStore,
+        clock_s: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._config = config
+        self._store = store
+        self._clock_s = clock_s
+
+    def solve(self, job: LoopJob) -> Outcome:
+        """The loop, or why there is none.
+
+        Raises:
+            StoreUnavailable: If the keyframes cannot be had now; nothing is decided.
+        """
+        try:
+            query = build_rig(job.query_rig, self._store)
+            cand = build_rig(job.cand_rig, self._store)
+            start_s = self._clock_s()
+            result = covinz_core.solve_loop(query, cand, loop_options(self._config, job.seed))
+            solver_ms = 1e3 * (self._clock_s() - start_s)
+        except KeyframeNotFound as error:
+            return _rejection(job, "keyframe_missing", str(error))
+        except CameraNotFound as error:
+            return _rejection(job, "camera_missing", str(error))
+        except ValueError as error:
+            # What the robot sent is no input for the core: final, and nobody else's problem.
+            return _rejection(job, "error", str(error))
+        if isinstance(result, covinz_core.LoopRejection):
+            return Rejection(
+                job_id=job.id,
+                query=job.query,
+                cand=job.cand,
+                stage=result.stage,
+                count=result.count,
+                threshold=result.threshold,
+                detail=_pair_text(job, result.pair),
+                solver_ms=solver_ms,
+            )
+        return LoopClosure(
+            job_id=job.id,
+            query=job.query,
+            cand=job.cand,
+            T_cand_query=result.T_cand_query,
+            covariance=result.covariance,
+            num_inliers=result.num_inliers,
+            num_matches=sum(result.num_matches),
+            solver_ms=solver_ms,
+        )
+
+
+def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions:
+    """The core's options for one job."""
+    options = covinz_core.LoopOptions()
+    options.matching.norm = covinz_core.DescriptorNorm.HAMMING
+    options.matching.max_ratio = config.matching.max_ratio
+    options.matching.max_distance = config.matching.max_hamming
+    options.matching.mutual = config.matching.mutual
+    options.pair.max_error_px = options.rig.max_error_px = config.max_error_px
+    options.pair.confidence = options.rig.confidence = config.confidence
+    options.pair.max_num_iterations = config.max_pair_iterations
+    options.rig.max_num_iterations = config.max_rig_iterations
+    options.covariance.num_samples = config.num_covariance_samples
+    options.covariance.max_num_tries = config.max_covariance_tries
+    options.covariance.min_inlier_ratio = config.min_covariance_inlier_ratio
+    options.covariance.max_error_px = config.max_covariance_error_px
+    options.max_covariance_trace = config.max_covariance_trace
+    options.min_num_matches = config.min_pair_matches
+    options.min_num_pair_inliers = config.min_pair_inliers
+    options.min_num_rig_inliers = config.min_rig_inliers
+    options.min_baseline_m = config.min_baseline_m
+    if config.max_translation_m is not None:
+        options.max_translation_m = config.max_translation_m
+    if config.max_rotation_rad is not None:
+        options.max_rotation_rad = config.max_rotation_rad
+    options.seed = seed
+    return options
+
+
+def _pair_text(job: LoopJob, pair: int | None) -> str:
+    """Names the camera pair at which a job failed; pairs count with the query outermost."""
+    if pair is None:
+        return ""
+    query, cand = divmod(pair, len(job.cand_rig))
+    return f"{job.query_rig[query].keyframe} with {job.cand_rig[cand].keyframe}"
+
+
+def _rejection(job: LoopJob, stage: str, detail: str) -> Rejection:
+    return Rejection(
+        job_id=job.id,
+        query=job.query,
+        cand=job.cand,
+        stage=stage,
+        count=0.0,
+        threshold=0.0,
+        detail=detail,
+        solver_ms=0.0,
+    )

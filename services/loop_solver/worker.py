@@ -1,0 +1,216 @@
+"""The pull loop of a worker: take a job, solve it, bring the outcome until it is durable.
+
+A loop goes to the optimizer first and to the dispatcher then, each until acknowledged: a job that
+counts as done has its loop in the map's books. Both deduplicate, so a crash in between only costs
+a second solve.
+
+Source: DESIGN 1; decision 0002 (pull with leases).
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus, BusClosed
+from covinz.codec import MalformedMessage
+from covinz.config import WorkerConfig
+from covinz.keyframes import StoreUnavailable
+from covinz.types import (
+    JobDone,
+    Lease,
+    LeaseRequest,
+    LoopClosure,
+    LoopJob,
+    Outcome,
+    Rejected,
+    Rejection,
+    RetryAfter,
+    UploadReply,
+)
+
+logger = logging.getLogger(__name__)
+
+# A lease request that ends sooner without a job found nobody, or was refused.
+PROMPT_S = 0.5
+
+
+class Worker:
+    """One thread that works off jobs one at a time until `stop`.
+
+    Args:
+        worker: Id of this run; no other process, earlier or later, may have the same.
+        bus: Way to dispatcher and optimizer.
+        solve: Turns a job into its outcome; StoreUnavailable means try again.
+        config: Back-off.
+        lease_timeout_s: How long a request for a job may stay open.
+        on_failure: Called from the thread with the error that ended it.
+    """
+
+    def __init__(
+        self,
+        worker: str,
+        bus: Bus,
+        solve: Callable[[LoopJob], Outcome],
+        config: WorkerConfig,
+        lease_timeout_s: float,
+        on_failure: Callable[[BaseException], object],
+    ) -> None:
+        self._worker = worker
+        self._bus = bus
+        self._solve = solve
+        self._config = config
+        self._lease_timeout_s = lease_timeout_s
+        self._on_failure = on_failure
+        self._stopping = threading.Event()
+        # Guards `_asking`, so that stop() and a lease that arrives agree on who was first.
+        self._lock = threading.Lock()
+        self._asking = False
+        self._busy = False
+        self._token = bus.declare_alive(keyexprs.worker_alive(worker))
+        self._thread = threading.Thread(target=self._run, name="worker")
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is being worked on."""
+        return self._busy
+
+    def start(self) -> None:
+        """Begin to pull jobs."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Take no further job, finish the one at hand, and wait for that."""
+        self._stopping.set()
+        with self._lock:
+            if self._asking:
+                # A lease that is on its way is lost, and ends when the token vanishes.
+                self._bus.interrupt()
+        self._thread.join()
+        self._token.close()
+
+    def _run(self) -> None:
+        try:
+            self._pull()
+        except BusClosed as error:
+            if not self._stopping.is_set():
+                self._on_failure(error)
+        except BaseException as error:
+            self._on_failure(error)
+
+    def _pull(self) -> None:
+        pauses = self._pauses_s()
+        while not self._stopping.is_set():
+            asked_s = time.monotonic()
+            lease = self._lease()
+            if lease is not None:
+                self._busy = True
+                self._work(lease.job)
+                self._busy = False
+            elif time.monotonic() - asked_s < PROMPT_S:
+                self._stopping.wait(next(pauses))
+                continue
+            pauses = self._pauses_s()
+
+    def _lease(self) -> Lease | None:
+        with self._lock:
+            if self._stopping.is_set():
+                return None
+            self._asking = True
+        request = codec.encode(LeaseRequest(self._worker))
+        replies = self._bus.ask(keyexprs.JOB_LEASE, request, self._lease_timeout_s)
+        with self._lock:
+            self._asking = False
+            if self._stopping.is_set():
+                return None
+        try:
+            return codec.decode(replies[0], Lease) if replies else None
+        except MalformedMessage as error:
+            logger.error("refused a lease: %s", error)
+            self.counters["malformed"] += 1
+            return None
+
+    def _work(self, job: LoopJob) -> None:
+        outcome = self._outcome(job)
+        if isinstance(outcome, LoopClosure):
+            answer = self._send(keyexprs.LOOP, codec.encode(outcome))
+            if isinstance(answer, Rejected):
+                outcome = _refused(outcome, answer)
+            elif answer is None:
+                outcome = None
+        if outcome is None:
+            logger.info("gave job %s back: the process ends", job.id)
+            return
+        if isinstance(outcome, Rejection):
+            self._bus.put(keyexprs.REJECTION, codec.encode(outcome))
+        self._send(keyexprs.JOB_DONE, codec.encode(JobDone(self._worker, outcome)))
+        self._count(outcome)
+
+    def _outcome(self, job: LoopJob) -> Outcome | None:
+        """The outcome; None when the process ends before the keyframes can be had."""
+        for pause_s in self._pauses_s():
+            try:
+                return self._solve(job)
+            except StoreUnavailable as error:
+                logger.warning("job %s waits for its keyframes: %s", job.id, error)
+            if self._stopping.wait(pause_s):
+                break
+        return None
+
+    def _send(self, key: str, payload: bytes) -> UploadReply | None:
+        """Ask until there is a final answer; None when the process ends before."""
+        for pause_s in self._pauses_s():
+            wait_s = pause_s
+            for reply in self._bus.ask(key, payload):
+                try:
+                    answer = codec.decode_upload_reply(reply)
+                except MalformedMessage as error:
+                    logger.error("unreadable answer on %s: %s", key, error)
+                    continue
+                if not isinstance(answer, RetryAfter):
+                    return answer
+                wait_s = answer.seconds
+            self.counters["resent"] += 1
+            if self._stopping.wait(wait_s):
+                break
+        return None
+
+    def _pauses_s(self) -> Iterator[float]:
+        """Growing pauses between attempts, without end."""
+        pause_s = self._config.min_backoff_s
+        while True:
+            yield pause_s
+            pause_s = min(2 * pause_s, self._config.max_backoff_s)
+
+    def _count(self, outcome: Outcome) -> None:
+        self.counters["jobs"] += 1
+        if isinstance(outcome, LoopClosure):
+            self.counters["accepted"] += 1
+            logger.info(
+                "loop %s -> %s: %d inliers of %d matches, %.0f ms",
+                outcome.query,
+                outcome.cand,
+                outcome.num_inliers,
+                outcome.num_matches,
+                outcome.solver_ms,
+            )
+        else:
+            self.counters[f"rejected.{outcome.stage}"] += 1
+
+
+def _refused(loop: LoopClosure, answer: Rejected) -> Rejection:
+    return Rejection(
+        job_id=loop.job_id,
+        query=loop.query,
+        cand=loop.cand,
+        stage="refused",
+        count=0.0,
+        threshold=0.0,
+        detail=f"the optimizer refused the loop: {answer.code}: {answer.reason}",
+        solver_ms=loop.solver_ms,
+    )

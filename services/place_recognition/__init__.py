@@ -1,0 +1,1 @@
+"""Place recognition: follows the keyframe log, finds loop candidates and lends them as jobs."""

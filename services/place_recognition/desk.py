@@ -1,0 +1,135 @@
+"""The dispatcher on the bus: requests come in as events, answers leave once they are durable."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus, Query
+from covinz.codec import MalformedMessage
+from covinz.service import Inbox
+from covinz.types import Duplicate, JobDone, JobRange, LeaseRequest, Rejected, Stored, UploadReply
+from services.place_recognition.dispatcher import Dispatcher
+from services.place_recognition.journal import Journal
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LeaseAsked:
+    """A worker wants a job."""
+
+    query: Query
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutcomeBrought:
+    """A worker returns an outcome."""
+
+    query: Query
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JobsAsked:
+    """Somebody wants to see the jobs."""
+
+    query: Query
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerGone:
+    """The liveliness token of a worker vanished."""
+
+    worker: str
+
+
+DeskEvent = LeaseAsked | OutcomeBrought | JobsAsked | WorkerGone
+
+
+class Desk:
+    """Where workers take jobs and bring outcomes.
+
+    `handle` only changes the dispatcher; `settle` commits the journal and then answers, so that a
+    lease or an acknowledgement that a worker has seen is never forgotten.
+    """
+
+    def __init__(self, dispatcher: Dispatcher[Query], journal: Journal, bus: Bus) -> None:
+        self._dispatcher = dispatcher
+        self._journal = journal
+        self._bus = bus
+        self._acks: list[tuple[Query, UploadReply]] = []
+        self.counters: Counter[str] = Counter()
+
+    def handle(self, event: DeskEvent, now_s: float) -> None:
+        """Take one event in."""
+        try:
+            match event:
+                case LeaseAsked(query):
+                    worker = codec.decode(query.payload, LeaseRequest).worker
+                    self._dispatcher.request(worker, query, now_s)
+                case OutcomeBrought(query):
+                    self._bring(query)
+                case JobsAsked(query):
+                    first = codec.decode(query.payload, JobRange).first
+                    query.reply(codec.encode(self._dispatcher.page(first)))
+                case WorkerGone(worker):
+                    self._dispatcher.worker_gone(worker)
+        except MalformedMessage as error:
+            self._refuse(event, error)
+
+    def settle(self, now_s: float) -> None:
+        """Make what was handled durable, then tell those who wait."""
+        effects = self._dispatcher.advance(now_s)
+        self._journal.commit()
+        for query, ack in self._acks:
+            query.reply(codec.encode(ack))
+        self._acks.clear()
+        for query, lease in effects.granted:
+            query.reply(codec.encode(lease))
+        for query in effects.turned_away:
+            query.drop()
+        for rejection in effects.dead:
+            logger.error("job %s is dead: %s", rejection.job_id, rejection.detail)
+            self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
+
+    def _bring(self, query: Query) -> None:
+        done = codec.decode(query.payload, JobDone)
+        fresh = self._dispatcher.finish(done.outcome)
+        self.counters["duplicate_outcomes"] += not fresh
+        self._acks.append((query, Stored() if fresh else Duplicate()))
+
+    def _refuse(self, event: DeskEvent, error: MalformedMessage) -> None:
+        self.counters["malformed"] += 1
+        logger.warning("refused %s: %s", type(event).__name__, error)
+        if isinstance(event, OutcomeBrought):
+            event.query.reply(codec.encode(Rejected("malformed", str(error))))
+        elif not isinstance(event, WorkerGone):
+            event.query.drop()
+
+
+def open_desk(bus: Bus, inbox: Inbox) -> ExitStack:
+    """Take requests of workers and viewers into the inbox until the stack is closed.
+
+    When the inbox is full a request is dropped at once: its sender tries again.
+    """
+
+    def enqueue(event: LeaseAsked | OutcomeBrought | JobsAsked) -> None:
+        if not inbox.put(event, block=False):
+            event.query.drop()
+
+    def on_worker(key: str, alive: bool) -> None:
+        if not alive:
+            inbox.put_always(WorkerGone(keyexprs.worker_of(key)))
+
+    stack = ExitStack()
+    for declaration in (
+        bus.answer(keyexprs.JOB_LEASE, lambda query: enqueue(LeaseAsked(query))),
+        bus.answer(keyexprs.JOB_DONE, lambda query: enqueue(OutcomeBrought(query))),
+        bus.answer(keyexprs.JOB_LIST, lambda query: enqueue(JobsAsked(query))),
+        bus.watch_alive(keyexprs.WORKERS_ALIVE, on_worker),
+    ):
+        stack.enter_context(closing(declaration))
+    return stack

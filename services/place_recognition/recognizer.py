@@ -1,0 +1,166 @@
+"""From the keyframe log to loop jobs: look up, guard, rank, form the rigs, then index.
+
+Source: COVINS-G III-B1; DESIGN 1 and 2.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter, defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
+from covinz.types import (
+    Features,
+    FeatureType,
+    Keyframe,
+    KeyframeId,
+    LogEntry,
+    LoopJob,
+    SegmentId,
+)
+from services.place_recognition import guards, rigs
+from services.place_recognition.index import Descriptors, PlaceIndex, Vocabulary, Words
+from services.place_recognition.rigs import JobMint, Pair
+from services.place_recognition.track import PastQuery, QueryHistory, Track
+
+logger = logging.getLogger(__name__)
+
+
+class Recognizer:
+    """Turns log entries, in order, into jobs; the jobs are a function of the log alone.
+
+    Keyframes whose features the vocabulary cannot describe, or that have too few to pass
+    verification, take no part: not as query, nor as candidate, nor as neighbour in a rig.
+
+    Attributes:
+        counters: What happened so far, by name.
+    """
+
+    def __init__(
+        self,
+        config: PlaceRecognitionConfig,
+        solver: LoopSolverConfig,
+        vocabulary: Vocabulary,
+        index: PlaceIndex,
+    ) -> None:
+        self._config = config
+        self._vocabulary = vocabulary
+        self._index = index
+        self._mint = JobMint(solver, vocabulary.hash)
+        self._tracks: dict[SegmentId, Track] = {}
+        self._tracks_of: defaultdict[str, list[Track]] = defaultdict(list)
+        self._history: defaultdict[SegmentId, QueryHistory] = defaultdict(QueryHistory)
+        self._indexed: list[KeyframeId] = []
+        self._waiting: defaultdict[SegmentId, list[Pair]] = defaultdict(list)
+        self.counters: Counter[str] = Counter()
+
+    @property
+    def waiting(self) -> int:
+        """Pairs that become jobs when their sessions have enough keyframes for the rigs."""
+        return sum(len(pairs) for pairs in self._waiting.values())
+
+    def process(self, entry: LogEntry) -> list[LoopJob]:
+        """The jobs that come to be with this entry; entries must come in log order."""
+        kf = entry.item
+        if not isinstance(kf, Keyframe):
+            return []
+        features = self._usable(kf)
+        if features is None:
+            return []
+        track = self._track(kf.id.segment)
+        track.insert(kf)
+        # Pairs that waited for this session are older than those the keyframe brings.
+        jobs = self._form(self._waiting.pop(kf.id.segment, []))
+        words = self._vocabulary.words(features.descriptors)
+        jobs += self._form(self._query(kf.id, words, features.descriptors))
+        self._add(kf.id, words, features.descriptors)
+        return jobs
+
+    def _usable(self, kf: Keyframe) -> Features | None:
+        features = kf.features
+        if features is not None and features.type is not FeatureType.ORB:
+            self._skip(kf, "skipped.feature_type", f"features are {features.type.name}, not ORB")
+            return None
+        count = 0 if features is None else len(features)
+        if count < self._config.min_features:
+            self._skip(kf, "skipped.few_features", f"{count} features")
+            return None
+        return features
+
+    def _skip(self, kf: Keyframe, counter: str, reason: str) -> None:
+        self.counters[counter] += 1
+        logger.info("keyframe %s takes no part in place recognition: %s", kf.id, reason)
+
+    def _track(self, segment: SegmentId) -> Track:
+        if segment not in self._tracks:
+            self._tracks[segment] = Track(segment)
+            self._tracks_of[segment.agent].append(self._tracks[segment])
+        return self._tracks[segment]
+
+    def _query(self, query: KeyframeId, words: Words, descriptors: Descriptors) -> list[Pair]:
+        track, history = self._tracks[query.segment], self._history[query.segment]
+        if not guards.may_query(query.seq, track, history, self._config):
+            self.counters["not_queried"] += 1
+            return []
+        scores = self._index.scores(words, descriptors)
+        mask = guards.eligible(query, len(scores), self._tracks_of[query.agent], self._config)
+        found = [
+            Pair(query, self._indexed[slot], float(scores[slot]))
+            for slot in best(scores, mask, self._config)
+        ]
+        pairs = found
+        if self._config.consistent_queries:
+            pairs = [
+                pair
+                for pair in found
+                if guards.consistent(pair.cand, query.seq, history, self._config)
+            ]
+        past = PastQuery(query.seq, tuple(pair.cand for pair in found))
+        history.add(past, productive=bool(pairs))
+        self.counters["queries"] += 1
+        return pairs
+
+    def _form(self, pairs: list[Pair]) -> list[LoopJob]:
+        """Make jobs of the pairs whose rigs can be formed; the others wait for their session."""
+        jobs = []
+        for pair in pairs:
+            query = rigs.query_rig(self._tracks[pair.query.segment], pair.query.seq)
+            cand = rigs.cand_rig(self._tracks[pair.cand.segment], pair.cand.seq)
+            if query is None:
+                self._waiting[pair.query.segment].append(pair)
+            elif cand is None:
+                self._waiting[pair.cand.segment].append(pair)
+            elif rigs.overlap(query, cand):
+                self.counters["skipped.overlap"] += 1
+            else:
+                jobs.append(self._mint.job(pair, query, cand))
+        self.counters["candidates"] += len(jobs)
+        return jobs
+
+    def _add(self, kf: KeyframeId, words: Words, descriptors: Descriptors) -> None:
+        if guards.may_be_candidate(kf.seq, self._config):
+            slot = self._index.add(words, descriptors)
+            self._tracks[kf.segment].set_slot(kf.seq, slot)
+            self._indexed.append(kf)
+            self.counters["indexed"] += 1
+
+
+def best(
+    scores: NDArray[np.float32], mask: NDArray[np.bool_], config: PlaceRecognitionConfig
+) -> list[int]:
+    """The slots of the best eligible keyframes, best first; of equal ones the older first.
+
+    Args:
+        scores: (size,) score of every keyframe in the index.
+        mask: (size,) which of them are eligible.
+        config: `num_candidates`, `min_score`, and `min_score_ratio` of the best eligible score.
+    """
+    slots = np.flatnonzero(mask & (scores > 0) & (scores >= config.min_score))
+    if not len(slots):
+        return []
+    slots = slots[scores[slots] >= config.min_score_ratio * scores[slots].max()]
+    order = np.lexsort((slots, -scores[slots]))
+    return [int(slot) for slot in slots[order[: config.num_candidates]]]

@@ -1,0 +1,202 @@
+"""Place recognition as a process: one thread owns the index, the jobs and the journal.
+
+Log pages are worked off entry by entry, and between two entries everything else in the inbox is
+answered: workers never wait for a replay. The jobs of an entry are pending in the same step in
+which the cursor moves past it, so a status is never ahead of its jobs.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+
+from covinz import codec
+from covinz.bus import Query
+from covinz.config import Config
+from covinz.log_follower import LogFollower, LogReset
+from covinz.service import Context, Inbox, StatusRequest
+from covinz.types import LogEntry, LogPage, LogView, Status
+from services.place_recognition.desk import (
+    Desk,
+    JobsAsked,
+    LeaseAsked,
+    OutcomeBrought,
+    WorkerGone,
+    open_desk,
+)
+from services.place_recognition.dispatcher import Dispatcher
+from services.place_recognition.index import load_vocabulary, new_index
+from services.place_recognition.journal import Journal
+from services.place_recognition.recognizer import Recognizer
+
+logger = logging.getLogger(__name__)
+
+# Requests answered between two log entries.
+REQUESTS_PER_STEP = 64
+# Log pages in memory: one is worked off while the next comes in.
+PAGES_AHEAD = 2
+
+
+def run(context: Context) -> None:
+    """Follow the log and lend jobs until `context.inbox` raises Stopped.
+
+    Raises:
+        ConfigError: If there is no usable vocabulary.
+        DurableFileError: If the journal cannot be used.
+    """
+    config = context.config
+    new_recognizer = recognizer_factory(config)
+    gate = PageGate(context.inbox)
+    with ExitStack() as stack:
+        path = context.data_dir / "place_recognition.sqlite"
+        journal = stack.enter_context(closing(Journal(path)))
+        dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, journal)
+        desk = Desk(dispatcher, journal, context.bus)
+        service = PlaceRecognition(context.instance, new_recognizer, dispatcher, desk, gate)
+        stack.enter_context(open_desk(context.bus, context.inbox))
+        follower = LogFollower(context.bus, LogView.FULL, gate.deliver)
+        stack.enter_context(closing(follower))
+        stack.callback(gate.open_for_ever)
+        # The index lives in memory only, so the log is always read from its beginning.
+        follower.start(0, "")
+        while True:
+            service.step(context.inbox)
+
+
+def recognizer_factory(config: Config) -> Callable[[], Recognizer]:
+    """Makes empty recognizers; the vocabulary is read once.
+
+    Raises:
+        ConfigError: If the vocabulary or the index's options cannot be used.
+    """
+    vocabulary = load_vocabulary(config.place_recognition.vocabulary)
+    new_index(config.place_recognition, vocabulary)
+
+    def make() -> Recognizer:
+        index = new_index(config.place_recognition, vocabulary)
+        return Recognizer(config.place_recognition, config.loop_solver, vocabulary, index)
+
+    return make
+
+
+class PageGate:
+    """Lets the log's follower run ahead by a few pages only; other events pass freely."""
+
+    def __init__(self, inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._places = threading.Semaphore(PAGES_AHEAD)
+        self._open = False
+
+    def deliver(self, event: LogReset | LogPage) -> None:
+        """For the follower's thread: waits until there is room for a page."""
+        if isinstance(event, LogPage) and not self._open:
+            self._places.acquire()
+        self._inbox.put(event)
+
+    def page_done(self) -> None:
+        """A page has been worked off."""
+        self._places.release()
+
+    def open_for_ever(self) -> None:
+        """Let a waiting follower go: the service ends."""
+        self._open = True
+        self._places.release()
+
+
+class PlaceRecognition:
+    """The state of the process and how events change it."""
+
+    def __init__(
+        self,
+        instance: str,
+        new_recognizer: Callable[[], Recognizer],
+        dispatcher: Dispatcher[Query],
+        desk: Desk,
+        gate: PageGate,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._instance = instance
+        self._new_recognizer = new_recognizer
+        self._recognizer = new_recognizer()
+        self._dispatcher = dispatcher
+        self._desk = desk
+        self._gate = gate
+        self._clock_s = clock_s
+        self._log_id = ""
+        self._cursor = 0
+        self._pages: deque[deque[LogEntry]] = deque()
+
+    def step(self, inbox: Inbox) -> None:
+        """Handle some of the inbox and one log entry; waits when there is nothing to do."""
+        first = inbox.take(self._patience_s())
+        events = [] if first is None else [first, *inbox.drain(REQUESTS_PER_STEP - 1)]
+        for event in events:
+            self._handle(event)
+        if self._pages:
+            self._process_entry()
+        self._desk.settle(self._clock_s())
+
+    def status(self) -> Status:
+        """Cursor, open jobs, and what was found, skipped, accepted and rejected."""
+        counters = {
+            **self._recognizer.counters,
+            **self._dispatcher.counters,
+            **self._desk.counters,
+            "waiting": self._recognizer.waiting,
+        }
+        return Status(
+            service="place_recognition",
+            instance=self._instance,
+            log_id=self._log_id,
+            cursor=self._cursor,
+            pending=self._dispatcher.pending,
+            leased=self._dispatcher.leased,
+            dirty=False,
+            counters={name: float(count) for name, count in sorted(counters.items())},
+        )
+
+    def _patience_s(self) -> float | None:
+        if self._pages:
+            return 0.0
+        deadline_s = self._dispatcher.next_deadline_s()
+        return None if deadline_s is None else max(0.0, deadline_s - self._clock_s())
+
+    def _handle(self, event: object) -> None:
+        match event:
+            case StatusRequest(query):
+                query.reply(codec.encode(self.status()))
+            case LogReset(log_id):
+                self._start_over(log_id)
+            case LogPage(entries=entries):
+                if entries:
+                    self._pages.append(deque(entries))
+                else:
+                    self._gate.page_done()
+            case LeaseAsked() | OutcomeBrought() | JobsAsked() | WorkerGone():
+                self._desk.handle(event, self._clock_s())
+
+    def _start_over(self, log_id: str) -> None:
+        logger.info("reading log %s from its beginning", log_id)
+        for _ in self._pages:
+            self._gate.page_done()
+        self._pages.clear()
+        self._recognizer = self._new_recognizer()
+        self._dispatcher.reset(log_id)
+        self._log_id, self._cursor = log_id, 0
+
+    def _process_entry(self) -> None:
+        page = self._pages[0]
+        entry = page.popleft()
+        if not page:
+            self._pages.popleft()
+            self._gate.page_done()
+        if entry.log_index != self._cursor:
+            raise RuntimeError(f"log entry {entry.log_index} came instead of {self._cursor}")
+        for job in self._recognizer.process(entry):
+            logger.info("candidate %s for %s, score %.1f", job.cand, job.query, job.score)
+            self._dispatcher.add(job)
+        self._cursor += 1

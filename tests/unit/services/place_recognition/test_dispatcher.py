@@ -1,0 +1,381 @@
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from covinz.config import PlaceRecognitionConfig
+from covinz.types import (
+    JobState,
+    KeyframeId,
+    Lease,
+    LoopClosure,
+    LoopJob,
+    Outcome,
+    Rejection,
+    RigMember,
+)
+from services.place_recognition import dispatcher as module
+from services.place_recognition.dispatcher import Dispatcher
+from services.place_recognition.journal import Journal
+
+LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+OTHER_LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAW"
+CONFIG = PlaceRecognitionConfig(lease_s=60.0, max_attempts=3, long_poll_s=5.0)
+
+
+def member(agent: str, seq: int) -> RigMember:
+    return RigMember(KeyframeId(agent, LOG, seq), np.eye(4), "0123456789abcdef")
+
+
+def job(n: int) -> LoopJob:
+    query = (member("a", n), member("a", n + 1))
+    cand = tuple(member("b", seq) for seq in (n, n + 1, n + 2))
+    return LoopJob(f"{n:032x}", query, cand, 1.0)
+
+
+def rejection(n: int) -> Rejection:
+    one = job(n)
+    return Rejection(one.id, one.query, one.cand, "pair_inliers", 3.0, 30.0, "", 1.0)
+
+
+def loop(n: int) -> LoopClosure:
+    one = job(n)
+    return LoopClosure(one.id, one.query, one.cand, np.eye(4), np.eye(6), 100, 300, 1.0)
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    journal = Journal(tmp_path / "place_recognition.sqlite")
+    yield journal
+    journal.close()
+
+
+@pytest.fixture
+def desk(journal: Journal) -> Dispatcher[str]:
+    return make(journal)
+
+
+def make(journal: Journal, num_jobs: int = 0) -> Dispatcher[str]:
+    desk: Dispatcher[str] = Dispatcher(CONFIG, journal)
+    desk.reset(LOG)
+    for n in range(num_jobs):
+        desk.add(job(n))
+    return desk
+
+
+def lent(desk: Dispatcher[str], now_s: float) -> list[tuple[str, str, int]]:
+    """Who got which job for the how manieth time."""
+    return [
+        (asker, lease.job.id[-2:], lease.attempt) for asker, lease in desk.advance(now_s).granted
+    ]
+
+
+def test_jobs_and_workers_are_served_in_order(desk: Dispatcher[str]) -> None:
+    desk.request("w1", "r1", 0.0)
+    desk.request("w2", "r2", 0.0)
+    assert lent(desk, 0.0) == []
+    for n in range(3):
+        desk.add(job(n))
+    assert lent(desk, 0.1) == [("r1", "00", 1), ("r2", "01", 1)]
+    assert (desk.pending, desk.leased) == (1, 2)
+    desk.request("w3", "r3", 0.2)
+    assert lent(desk, 0.2) == [("r3", "02", 1)]
+
+
+def test_a_lease_says_how_long_it_lasts(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.request("w", "r", 0.0)
+    ((_, lease),) = desk.advance(0.0).granted
+    assert (lease.worker, lease.duration_s) == ("w", CONFIG.lease_s)
+
+
+def test_an_outcome_ends_the_job(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.request("w", "r", 0.0)
+    desk.advance(0.0)
+    assert desk.finish(loop(0))
+    assert (desk.pending, desk.leased) == (0, 0)
+    assert desk.counters == {"accepted": 1, "returned": 0}
+    assert not desk.finish(rejection(0))
+    (record,) = desk.page(0).records
+    assert record.state is JobState.DONE and isinstance(record.outcome, LoopClosure)
+
+
+def test_a_lease_ends_at_its_deadline(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.add(job(1))
+    desk.request("w1", "r1", 0.0)
+    assert lent(desk, 0.0) == [("r1", "00", 1)]
+    assert desk.next_deadline_s() == 60.0
+    assert lent(desk, 59.9) == []
+    desk.request("w2", "r2", 60.0)
+    # Back at the front of the queue.
+    assert lent(desk, 60.0) == [("r2", "00", 2)]
+    assert desk.counters["returned"] == 1
+
+
+def test_a_lease_ends_when_its_worker_vanishes(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.add(job(1))
+    desk.request("w1", "r1", 0.0)
+    desk.advance(0.0)
+    desk.request("w2", "r2", 1.0)
+    desk.worker_gone("w1")
+    assert lent(desk, 1.0) == [("r2", "00", 2)]
+
+
+def test_a_vanished_worker_s_request_is_not_served(desk: Dispatcher[str]) -> None:
+    desk.request("w1", "r1", 0.0)
+    desk.worker_gone("w1")
+    desk.add(job(0))
+    effects = desk.advance(0.0)
+    assert effects.turned_away == ("r1",) and effects.granted == ()
+
+
+def test_a_request_overtaken_by_its_worker_s_end_is_not_served(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.worker_gone("w1")
+    desk.request("w1", "r1", 0.0)
+    assert desk.advance(0.0).turned_away == ("r1",)
+    # A worker whose token only flickered asks again and is served.
+    desk.request("w1", "r2", 0.1)
+    assert lent(desk, 0.1) == [("r2", "00", 1)]
+
+
+def test_asking_again_gives_the_lease_back(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.request("w", "lost on the way", 0.0)
+    desk.advance(0.0)
+    desk.request("w", "r2", 8.0)
+    assert lent(desk, 8.0) == [("r2", "00", 2)]
+
+
+def test_a_second_request_replaces_the_first(desk: Dispatcher[str]) -> None:
+    desk.request("w", "r1", 0.0)
+    desk.request("w", "r2", 1.0)
+    desk.add(job(0))
+    effects = desk.advance(1.0)
+    assert effects.turned_away == ("r1",)
+    assert [asker for asker, _ in effects.granted] == ["r2"]
+
+
+def test_a_request_is_held_for_a_while_only(desk: Dispatcher[str]) -> None:
+    desk.request("w", "r", 0.0)
+    assert desk.next_deadline_s() == 5.0
+    assert desk.advance(4.9).turned_away == ()
+    assert desk.advance(5.0).turned_away == ("r",)
+    assert desk.next_deadline_s() is None
+
+
+def test_a_job_that_kills_its_workers_is_given_up(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    for attempt in range(1, 4):
+        desk.request(f"w{attempt}", f"r{attempt}", 0.0)
+        assert lent(desk, 0.0) == [(f"r{attempt}", "00", attempt)]
+        desk.worker_gone(f"w{attempt}")
+    (dead,) = desk.advance(0.0).dead
+    assert (dead.stage, dead.count, dead.threshold) == ("dead_letter", 3, 3)
+    (record,) = desk.page(0).records
+    assert (record.state, record.attempts, record.outcome) == (JobState.DEAD, 3, dead)
+    assert (desk.pending, desk.leased) == (0, 0)
+    assert desk.counters["rejected.dead_letter"] == 1
+    assert desk.advance(1.0).dead == ()
+
+
+def test_an_outcome_is_welcome_after_the_end_of_its_lease(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.request("slow", "r1", 0.0)
+    desk.advance(0.0)
+    desk.request("w2", "r2", 61.0)
+    assert lent(desk, 61.0) == [("r2", "00", 2)]
+    assert desk.finish(loop(0))
+    assert (desk.pending, desk.leased) == (0, 0)
+    # The second worker's lease is over too: it may ask for the next job.
+    desk.add(job(1))
+    desk.request("w2", "r3", 62.0)
+    assert lent(desk, 62.0) == [("r3", "01", 1)]
+    assert desk.counters["returned"] == 1
+
+
+def test_an_outcome_brings_a_dead_job_back(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    for worker in ("w1", "w2", "w3"):
+        desk.request(worker, worker, 0.0)
+        desk.advance(0.0)
+        desk.worker_gone(worker)
+    assert desk.finish(loop(0))
+    assert desk.counters["accepted"] == 1
+    assert desk.counters["rejected.dead_letter"] == 0
+    assert desk.page(0).records[0].state is JobState.DONE
+
+
+def test_an_outcome_of_a_pending_job_ends_it(desk: Dispatcher[str]) -> None:
+    for n in range(3):
+        desk.add(job(n))
+    assert desk.finish(rejection(1))
+    for worker in ("w1", "w2", "w3"):
+        desk.request(worker, worker, 0.0)
+    assert lent(desk, 0.0) == [("w1", "00", 1), ("w2", "02", 1)]
+
+
+def test_pages_are_bounded(desk: Dispatcher[str]) -> None:
+    count = module.PAGE_RECORDS + 3
+    for n in range(count):
+        desk.add(job(n))
+    first, last = desk.page(0), desk.page(module.PAGE_RECORDS)
+    assert (first.total, len(first.records)) == (count, module.PAGE_RECORDS)
+    assert [r.job.id for r in last.records] == [job(n).id for n in range(count - 3, count)]
+    assert desk.page(count + 5).records == ()
+
+
+def test_a_restart_makes_leased_jobs_pending_and_skips_done_ones(journal: Journal) -> None:
+    before = make(journal, 3)
+    for worker in ("w1", "w2"):
+        before.request(worker, worker, 0.0)
+    before.advance(0.0)
+    before.finish(loop(1))
+    after = make(journal, 3)
+    assert [r.state for r in after.page(0).records] == [
+        JobState.PENDING,
+        JobState.DONE,
+        JobState.PENDING,
+    ]
+    assert after.counters["accepted"] == 1
+    after.request("w3", "r3", 0.0)
+    assert lent(after, 0.0) == [("r3", "00", 2)]
+
+
+def test_an_outcome_may_come_before_its_job_is_made_again(journal: Journal) -> None:
+    early = make(journal)
+    assert early.finish(loop(0))
+    assert not early.finish(loop(0))
+    early.add(job(0))
+    assert (early.pending, early.counters["accepted"]) == (0, 1)
+
+
+def test_another_log_starts_over(journal: Journal) -> None:
+    desk = make(journal, 2)
+    desk.request("w", "r", 0.0)
+    desk.advance(0.0)
+    desk.finish(loop(0))
+    desk.request("w2", "r2", 1.0)
+    desk.advance(1.0)
+    desk.request("w3", "open", 1.0)
+    desk.reset(OTHER_LOG)
+    assert (desk.pending, desk.leased, desk.page(0).total) == (0, 0, 0)
+    desk.add(job(0))
+    # The request that was open is served from the new log, and the old outcome is forgotten.
+    assert lent(desk, 1.5) == [("open", "00", 1)]
+
+
+class DispatcherMachine(RuleBasedStateMachine):
+    """Workers ask, die, hang and answer in any order; the process crashes at any point."""
+
+    @initialize()
+    def open(self) -> None:
+        self.folder = tempfile.TemporaryDirectory()
+        self.journal = Journal(Path(self.folder.name) / "place_recognition.sqlite")
+        self.desk = make(self.journal)
+        self.now_s = 0.0
+        self.num_jobs = 0
+        self.leases: list[Lease] = []
+        self.open_requests: set[str] = set()
+        self.acked: dict[str, Outcome] = {}
+        self.attempts: dict[str, int] = {}
+
+    def settle(self) -> None:
+        effects = self.desk.advance(self.now_s)
+        self.journal.commit()
+        for asker, lease in effects.granted:
+            self.open_requests.remove(asker)
+            assert asker.startswith(f"{lease.worker} ")
+            assert lease.job.id not in self.acked
+            assert lease.attempt == self.attempts.get(lease.job.id, 0) + 1 <= CONFIG.max_attempts
+            self.attempts[lease.job.id] = lease.attempt
+            self.leases.append(lease)
+        for asker in effects.turned_away:
+            self.open_requests.remove(asker)
+
+    @rule()
+    def add(self) -> None:
+        self.desk.add(job(self.num_jobs))
+        self.num_jobs += 1
+        self.settle()
+
+    @rule(worker=st.sampled_from("uvw"))
+    def request(self, worker: str) -> None:
+        asker = f"{worker} {len(self.open_requests)} {self.now_s}"
+        self.now_s += 0.25
+        self.open_requests.add(asker)
+        self.desk.request(worker, asker, self.now_s)
+        self.settle()
+
+    @rule(worker=st.sampled_from("uvw"))
+    def worker_dies(self, worker: str) -> None:
+        self.desk.worker_gone(worker)
+        self.settle()
+
+    @rule(seconds=st.sampled_from([1.0, 5.0, 60.0]))
+    def time_passes(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.settle()
+
+    @precondition(lambda self: self.leases)
+    @rule(data=st.data(), closes=st.booleans())
+    def outcome_comes(self, data: st.DataObject, closes: bool) -> None:
+        # Of any lease ever given, so also late and twice.
+        n = int(data.draw(st.sampled_from(self.leases)).job.id, 16)
+        outcome = loop(n) if closes else rejection(n)
+        fresh = self.desk.finish(outcome)
+        assert fresh is (outcome.job_id not in self.acked)
+        self.settle()
+        self.acked.setdefault(outcome.job_id, outcome)
+
+    @rule(replayed=st.integers(0, 100))
+    def crash(self, replayed: int) -> None:
+        self.journal.close()
+        self.journal = Journal(Path(self.folder.name) / "place_recognition.sqlite")
+        self.desk = make(self.journal)
+        self.open_requests.clear()
+        # Requests and outcomes may come in the middle of the replay; the rest follows at once.
+        for n in range(self.num_jobs):
+            if n == replayed and self.leases:
+                self.desk.finish(rejection(int(self.leases[0].job.id, 16)))
+                self.acked.setdefault(self.leases[0].job.id, rejection(0))
+            self.desk.add(job(n))
+        self.settle()
+
+    @invariant()
+    def every_job_is_in_one_state(self) -> None:
+        page = self.desk.page(0)
+        assert [r.job.id for r in page.records] == [job(n).id for n in range(self.num_jobs)]
+        states = [r.state for r in page.records]
+        assert states.count(JobState.PENDING) == self.desk.pending
+        assert states.count(JobState.LEASED) == self.desk.leased
+        for record in page.records:
+            closed = record.state in (JobState.DONE, JobState.DEAD)
+            assert closed is (record.outcome is not None)
+            assert (record.state is JobState.DONE) is (record.job.id in self.acked)
+            assert record.attempts == self.attempts.get(record.job.id, 0)
+        assert sum(self.desk.counters.values()) - self.desk.counters["returned"] == sum(
+            state in (JobState.DONE, JobState.DEAD) for state in states
+        )
+
+    @invariant()
+    def nobody_waits_while_there_is_work(self) -> None:
+        assert not (self.desk.pending and self.open_requests)
+
+    def teardown(self) -> None:
+        self.journal.close()
+        self.folder.cleanup()
+
+
+TestDispatcherMachine = DispatcherMachine.TestCase
+TestDispatcherMachine.settings = settings(max_examples=15, stateful_step_count=25, deadline=None)
