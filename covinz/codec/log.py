@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from covinz.codec import values
-from covinz.codec.reader import Fields
+from covinz.codec.reader import Fields, MalformedMessage
 from covinz.types import Gap, Keyframe, LogEntry, LogHead, LogPage, LogRange, LogView
 
 _WIRE_VIEW: Final = {LogView.POSE: "Pose", LogView.FULL: "Full"}
@@ -67,7 +67,16 @@ def log_page(fields: Fields, decode_entry: Callable[[bytes], Keyframe | Gap]) ->
         log_id=values.ulid(fields["log_id"], "log_id"),
         head=values.whole(fields["head"], "head", low=first + len(ends)),
         entries=tuple(
-            LogEntry(first + position, decode_entry(messages[start:end]))
+            _entry(first + position, messages[start:end], decode_entry)
             for position, (start, end) in enumerate(spans)
         ),
     )
+
+
+def _entry(
+    log_index: int, message: bytes, decode_entry: Callable[[bytes], Keyframe | Gap]
+) -> LogEntry:
+    try:
+        return LogEntry(log_index, decode_entry(message))
+    except ValueError as error:
+        raise MalformedMessage(f"entry {log_index}: {error}") from error

@@ -55,7 +55,14 @@ def read(payload: bytes, name: str) -> Fields:
     """
     if payload[4:8] != IDENTIFIERS[name]:
         raise MalformedMessage(f"expected a {name}, got the identifier {payload[4:8]!r}")
-    return _Reader(payload).message(TABLES[name])
+    return read_table(payload, TABLES[name])
+
+
+def read_table(payload: bytes, table: Table) -> Fields:
+    """Read a payload whose root is `table`, whatever its identifier; otherwise as `read`."""
+    if len(payload) < 8:
+        raise MalformedMessage("shorter than any message")
+    return _Reader(payload).root(table)
 
 
 class _Reader:
@@ -64,7 +71,7 @@ class _Reader:
         self._size = len(payload)
         self._budget = MAX_GROWTH * len(payload)
 
-    def message(self, table: Table) -> Fields:
+    def root(self, table: Table) -> Fields:
         return self._table(self._target(0), table)
 
     def _target(self, at: int) -> int:

@@ -24,7 +24,7 @@ def write(name: str, fields: Fields) -> bytes:
     """
     builder = flatbuffers.Builder(1024 + _bulk(fields))
     try:
-        root = _table(builder, TABLES[name], fields)
+        root = write_table(builder, TABLES[name], fields)
     except (struct.error, OverflowError, TypeError) as error:
         raise ValueError(f"{name}: {error}") from error
     builder.Finish(root, IDENTIFIERS[name])
@@ -44,7 +44,8 @@ def _bulk(fields: Fields) -> int:
     return total
 
 
-def _table(builder: Any, table: Table, fields: Fields) -> int:
+def write_table(builder: Any, table: Table, fields: Fields) -> int:
+    """Write a table and all below it; returns its offset in the builder."""
     values = {}
     for field in table.fields:
         value = fields.get(field.name)
@@ -85,12 +86,12 @@ def _child(builder: Any, field: Field, value: Any) -> Any:
     if field.kind == "vector":
         return _vector(builder, field, value)
     if field.kind == "table":
-        return _table(builder, TABLES[field.type], value)
+        return write_table(builder, TABLES[field.type], value)
     if field.kind == "tables":
         return _tables(builder, field, value)
     if field.kind == "union":
         name, fields = value
-        return _table(builder, TABLES[name], fields), _number(UNIONS[field.type], name)
+        return write_table(builder, TABLES[name], fields), _number(UNIONS[field.type], name)
     return _number(ENUMS[field.type], value) if field.kind == "enum" else value
 
 
@@ -107,7 +108,7 @@ def _vector(builder: Any, field: Field, value: Any) -> Any:
 
 
 def _tables(builder: Any, field: Field, value: list[Fields]) -> Any:
-    offsets = [_table(builder, TABLES[field.type], item) for item in value]
+    offsets = [write_table(builder, TABLES[field.type], item) for item in value]
     builder.StartVector(4, len(offsets), 4)
     for offset in reversed(offsets):
         builder.PrependUOffsetTRelative(offset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -115,17 +116,26 @@ def kind_of(message: Any) -> Any:
     return None if isinstance(message, replies) else type(message)
 
 
-def same(a: Any, b: Any) -> bool:
-    """Whether two values are equal to the last bit, arrays included."""
+def same(a: Any, b: Any, rotation_tolerance: float = 0.0) -> bool:
+    """Whether two values are equal, arrays included.
+
+    Equal means to the last bit, but for the entries of the rotations (the upper left 3x3 of arrays
+    of shape (..., 4, 4)), which may differ by `rotation_tolerance`.
+    """
     if type(a) is not type(b):
         return False
+    inner = functools.partial(same, rotation_tolerance=rotation_tolerance)
     if dataclasses.is_dataclass(a):
         names = [field.name for field in dataclasses.fields(a)]
-        return all(same(getattr(a, name), getattr(b, name)) for name in names)
+        return all(inner(getattr(a, name), getattr(b, name)) for name in names)
     if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and np.array_equal(a, b)
+        if a.dtype != b.dtype or a.shape[-2:] != (4, 4) or a.shape != b.shape:
+            return a.dtype == b.dtype and np.array_equal(a, b)
+        tolerance = np.zeros((4, 4))
+        tolerance[:3, :3] = rotation_tolerance
+        return bool(np.all(np.abs(a - b) <= tolerance))
     if isinstance(a, tuple):
-        return len(a) == len(b) and all(map(same, a, b))
+        return len(a) == len(b) and all(map(inner, a, b))
     if isinstance(a, Mapping):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(inner(a[key], b[key]) for key in a)
     return bool(a == b)
