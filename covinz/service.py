@@ -1,0 +1,285 @@
+"""The shell of every server process: arguments, logging, signals, bus, inbox, status.
+
+A service is a function `run(context)` in the main thread, which owns all state. Bus callbacks and
+other threads only put events into `context.inbox`. The process is announced (liveliness token)
+when `run` first looks into its inbox, so everything that it declared before is there by then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from covinz import config as configuration
+from covinz import keyexprs
+from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
+from covinz.config import Config, ConfigError
+
+logger = logging.getLogger(__name__)
+
+# Events that wait for the owner thread; beyond it senders wait or are turned away.
+INBOX_CAPACITY = 1024
+# Questions that a process still waits for so long after it was told to stop are ended. [s]
+STOP_GRACE_S = 3.0
+
+
+class Stopped(Exception):
+    """The process was asked to stop: clean up and return."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StatusRequest:
+    """Somebody asks how far this process is: ``event.query.reply(encode(Status(...)))``."""
+
+    query: Query
+
+
+class Inbox:
+    """What waits for the owner thread: bounded, first in first out, filled by any thread.
+
+    Args:
+        capacity: Events that may wait.
+        on_first_take: Called once, by the owner, before its first look into the inbox.
+    """
+
+    def __init__(
+        self, capacity: int = INBOX_CAPACITY, on_first_take: Callable[[], object] | None = None
+    ) -> None:
+        if capacity < 1:
+            raise ValueError(f"an inbox of {capacity} events can hold nothing")
+        self._capacity = capacity
+        self._on_first_take = on_first_take
+        self._changed = threading.Condition()
+        self._events: deque[object] = deque()
+        self._stopping = False
+
+    def put(self, event: object, block: bool = True) -> bool:
+        """Add an event; whether it was taken in.
+
+        False once a stop was requested, or when the inbox is full and `block` is False. Otherwise
+        a full inbox makes the sender wait. The owner thread itself must not block here.
+        """
+        with self._changed:
+            if block:
+                self._changed.wait_for(lambda: self._stopping or len(self._events) < self._capacity)
+            if self._stopping or len(self._events) >= self._capacity:
+                return False
+            self._append(event)
+            return True
+
+    def put_always(self, event: object) -> bool:
+        """Add a rare, small event even when the inbox is full; False once stopping."""
+        with self._changed:
+            if self._stopping:
+                return False
+            self._append(event)
+            return True
+
+    def take(self, timeout_s: float | None) -> object | None:
+        """The next event, or None when there is none within `timeout_s` (None: wait on).
+
+        Raises:
+            Stopped: Once a stop was requested, whatever still waits.
+        """
+        if self._on_first_take is not None:
+            on_first_take, self._on_first_take = self._on_first_take, None
+            on_first_take()
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopping or self._events, timeout_s)
+            if self._stopping:
+                raise Stopped
+            if not self._events:
+                return None
+            return self._pop()
+
+    def drain(self, limit: int) -> list[object]:
+        """Up to `limit` events that are there now; never waits and never raises."""
+        with self._changed:
+            return [self._pop() for _ in range(min(limit, len(self._events)))]
+
+    def stop(self) -> None:
+        """Ask the owner to stop: `take` raises, nothing more is let in."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether a stop was requested."""
+        return self._stopping
+
+    def __len__(self) -> int:
+        with self._changed:
+            return len(self._events)
+
+    def _append(self, event: object) -> None:
+        self._events.append(event)
+        self._changed.notify_all()
+
+    def _pop(self) -> object:
+        event = self._events.popleft()
+        self._changed.notify_all()
+        return event
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Context:
+    """What a service is given.
+
+    Attributes:
+        name: Kind of process, e.g. ``ingest``.
+        instance: Which one of several.
+        config: The configuration in force.
+        data_dir: Folder for durable files; it exists.
+        bus: The bus; closed after `run` has returned.
+        inbox: Events for the owner thread; StatusRequest comes here by itself.
+    """
+
+    name: str
+    instance: str
+    config: Config
+    data_dir: Path
+    bus: Bus
+    inbox: Inbox
+
+
+def serve(name: str, run: Callable[[Context], None]) -> None:
+    """Be a service process: parse arguments, call `run`, end the process.
+
+    Exits with 0 after SIGTERM or SIGINT, with 2 for unusable arguments or configuration, and
+    with 1 when `run` raised or returned unasked: whoever supervises starts it again.
+
+    Args:
+        name: Kind of process; its key expressions are ``covinz/service/{name}/{id}/...``.
+        run: Serves until ``context.inbox.take`` raises Stopped, then lets it through or returns.
+    """
+    # Blocked in this thread and all it starts: a thread of its own waits for them, so that no
+    # code is ever interrupted half-way by a signal handler.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
+    arguments = _arguments(name)
+    set_up_logging(name, arguments.id)
+    try:
+        config = configuration.load(arguments.config)
+        arguments.data.mkdir(parents=True, exist_ok=True)
+        bus = ZenohBus.open(config.bus, wait_s=0.0)
+    except (ConfigError, BusError, OSError) as error:
+        logger.error("%s", error)
+        sys.exit(2)
+    with contextlib.ExitStack() as stack:
+        stack.callback(bus.close)
+        code = serve_on(bus, name, arguments.id, config, arguments.data, run, _stop_on_signal)
+    logging.shutdown()
+    sys.exit(code)
+
+
+def serve_on(
+    bus: Bus,
+    name: str,
+    instance: str,
+    config: Config,
+    data_dir: Path,
+    run: Callable[[Context], None],
+    arm: Callable[[Inbox, Bus], object],
+) -> int:
+    """Run a service on a given bus; returns the exit code of its process.
+
+    Args:
+        bus: The bus; stays open.
+        name: See `serve`.
+        instance: Which one of several.
+        config: The configuration.
+        data_dir: Folder for durable files.
+        run: See `serve`.
+        arm: Called with inbox and bus before `run`; arranges for ``inbox.stop()``.
+    """
+    with contextlib.ExitStack() as stack:
+        inbox = Inbox(on_first_take=lambda: _announce(stack, bus, name, instance))
+        stack.callback(_drop_status_requests, inbox)
+        status_key = keyexprs.service_status(name, instance)
+        status = bus.answer(status_key, lambda query: _ask_status(inbox, query))
+        stack.callback(status.close)
+        arm(inbox, bus)
+        try:
+            run(Context(name, instance, config, data_dir, bus, inbox))
+        except Stopped:
+            pass
+        except BusClosed:
+            if not inbox.is_stopping:
+                logger.exception("the bus was closed")
+                return 1
+        except BusError as error:
+            logger.error("%s", error)
+            return 1
+        except Exception:
+            logger.exception("%s failed", name)
+            return 1
+        if not inbox.is_stopping:
+            logger.error("%s ended without being asked", name)
+            return 1
+        logger.info("stopped")
+        return 0
+
+
+def set_up_logging(name: str, instance: str) -> None:
+    """Log one line an event to standard error; the level comes from ``COVINZ_LOG``."""
+    who = instance if instance.startswith(name) else f"{name}/{instance}"
+    formatter = logging.Formatter(
+        f"%(asctime)s.%(msecs)03dZ %(levelname)-7s {who} %(name)s: %(message)s",
+        datefmt="%Y-%m-%dT%H:%M:%S",
+    )
+    formatter.converter = time.gmtime
+    handler = logging.StreamHandler()
+    handler.setFormatter(formatter)
+    level = os.environ.get("COVINZ_LOG", "INFO").upper()
+    known = logging.getLevelNamesMapping()
+    logging.basicConfig(level=known.get(level, logging.INFO), handlers=[handler], force=True)
+    if level not in known:
+        logger.warning("COVINZ_LOG=%s is not a level; using INFO", level)
+
+
+def _arguments(name: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=f"python -m services.{name}")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="YAML; default: defaults")
+    parser.add_argument(
+        "--data", type=Path, metavar="DIR", default=Path("data"), help="folder for durable files"
+    )
+    parser.add_argument("--id", metavar="NAME", default=name, help="which one of several")
+    return parser.parse_args()
+
+
+def _announce(stack: contextlib.ExitStack, bus: Bus, name: str, instance: str) -> None:
+    token = bus.declare_alive(keyexprs.service_alive(name, instance))
+    stack.callback(token.close)
+    logger.info("ready")
+
+
+def _ask_status(inbox: Inbox, query: Query) -> None:
+    if not inbox.put_always(StatusRequest(query)):
+        query.drop()
+
+
+def _drop_status_requests(inbox: Inbox) -> None:
+    for event in inbox.drain(len(inbox)):
+        if isinstance(event, StatusRequest):
+            event.query.drop()
+
+
+def _stop_on_signal(inbox: Inbox, bus: Bus) -> None:
+    def wait() -> None:
+        number = signal.sigwait({signal.SIGTERM, signal.SIGINT})
+        logger.info("stopping on %s", signal.Signals(number).name)
+        inbox.stop()
+        time.sleep(STOP_GRACE_S)
+        bus.interrupt()
+
+    threading.Thread(target=wait, name="signals", daemon=True).start()

@@ -1,0 +1,1 @@
+"""The hub that all sessions connect to: routing, and a limit on the size of messages."""

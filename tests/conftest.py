@@ -1,0 +1,100 @@
+"""Fixtures for all tests: recorded data, a free port, real processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+import yaml
+
+from covinz.bus import ZenohBus
+from covinz.config import BusConfig
+
+CHECKOUT = Path(__file__).resolve().parent.parent
+STOP_S = 15.0
+
+StartProcess = Callable[..., subprocess.Popen[str]]
+
+
+@pytest.fixture(scope="session")
+def recorded_data() -> Path:
+    """Folder of recorded images and trajectories; the test is skipped where there is none."""
+    default = CHECKOUT.parent / "shared" / "data"
+    folder = Path(os.environ.get("COVINZ_DATA", default))
+    if not folder.is_dir():
+        pytest.skip(f"no recorded data at {folder}; COVINZ_DATA may name another folder")
+    return folder
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    """A loopback endpoint that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def bus_config(free_endpoint: str) -> BusConfig:
+    """The bus of one test."""
+    return BusConfig(endpoint=free_endpoint)
+
+
+@pytest.fixture
+def config_file(tmp_path: Path, bus_config: BusConfig) -> Path:
+    """A configuration file with nothing but the endpoint of this test."""
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump({"bus": bus_config.model_dump(mode="json")}))
+    return path
+
+
+@pytest.fixture
+def start_service(tmp_path: Path, config_file: Path) -> Iterator[StartProcess]:
+    """Start ``python -m services.<name>``: ``start_service(name, instance=name)``.
+
+    Files are in ``tmp_path/data``, logs in ``tmp_path/<instance>.log``. At the end of the test what
+    still runs is told to stop, and killed if it does not.
+    """
+    with ExitStack() as stack:
+
+        def start(name: str, instance: str | None = None) -> subprocess.Popen[str]:
+            instance = instance or name
+            log = stack.enter_context((tmp_path / f"{instance}.log").open("a"))
+            command = [sys.executable, "-m", f"services.{name}", "--config", str(config_file)]
+            command += ["--data", str(tmp_path / "data"), "--id", instance]
+            process = subprocess.Popen(command, cwd=CHECKOUT, stderr=log, text=True)
+            stack.callback(end, process)
+            return process
+
+        yield start
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """Stop a process that this test started."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+    process.wait()
+
+
+@pytest.fixture
+def open_bus(bus_config: BusConfig) -> Iterator[Callable[[], ZenohBus]]:
+    """Open sessions on the bus of this test; closed at its end."""
+    with ExitStack() as stack:
+
+        def open_() -> ZenohBus:
+            bus = ZenohBus.open(bus_config, wait_s=0.0)
+            stack.callback(bus.close)
+            return bus
+
+        yield open_
