@@ -200,6 +200,9 @@ class OptimizerConfig(Section):
     num_odometry_neighbours: PositiveInt = 4
     # Scale of the Cauchy loss on loop edges, in sigmas. [public code: 0.5, reviewers: 1-3]
     cauchy_scale: Positive = 1.0
+    # The optimisation starts under a Cauchy loss so many times wider, then takes the real one:
+    # true loops that close much drift pull first. 1 switches it off. [measured: decision 0003]
+    cauchy_start_factor: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 10.0
     # Levenberg-Marquardt iterations.
     max_iterations: PositiveInt = 100
     # Accuracy of front-ends that send no covariance.

@@ -1,0 +1,1 @@
+"""The optimizer: turns keyframes and verified loops into maps and corrections."""

@@ -1,0 +1,311 @@
+"""The optimizer as a process: one thread owns the maps, another one optimises.
+
+Order of things, so that nothing is lost and the status is never ahead of the truth: a loop is
+durable and among the inputs before it is acked; an optimisation starts as soon as something is
+stale and none runs; a correction is durable before it is published.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing
+from typing import Protocol
+
+from covinz.log_follower import LogFollower, LogReset
+
+from covinz import codec, keyexprs
+from covinz.bus import Bus, Query
+from covinz.config import OptimizerConfig
+from covinz.service import Context, StatusRequest
+from covinz.types import (
+    Correction,
+    Duplicate,
+    Gap,
+    LogPage,
+    LogView,
+    LoopClosure,
+    RetryAfter,
+    SegmentId,
+    Status,
+    Stored,
+)
+from services.optimizer.admission import admit
+from services.optimizer.components import Component
+from services.optimizer.corrections import make_correction
+from services.optimizer.doors import (
+    RETRY_AFTER_S,
+    Asked,
+    LoopBrought,
+    answer_question,
+    open_doors,
+    reply,
+)
+from services.optimizer.loop_store import LoopStore, StoreUnavailable
+from services.optimizer.maps import Maps
+from services.optimizer.worker import OptimisationCrashed, OptimisationThread, Optimised
+
+logger = logging.getLogger(__name__)
+
+# Events taken together, so that loops share a commit.
+EVENTS_PER_STEP = 256
+
+
+class Submit(Protocol):
+    """Starts a job whose result comes back as an event; `OptimisationThread.submit`."""
+
+    def __call__(self, components: tuple[Component, ...], epoch: int) -> None:
+        """Queue a job."""
+
+
+def run(context: Context) -> None:
+    """Keep the maps until `context.inbox` raises Stopped.
+
+    Raises:
+        DurableFileError: If the store cannot be used.
+        StoreUnavailable: If an optimisation cannot be made durable.
+    """
+    config = context.config.optimizer
+    with ExitStack() as stack:
+        store = stack.enter_context(closing(LoopStore(context.data_dir / "optimizer.sqlite")))
+        thread = stack.enter_context(closing(OptimisationThread(config, context.inbox.put)))
+        optimizer = Optimizer(store, context.bus, config, thread.submit, context.instance)
+        stack.enter_context(open_doors(context.bus, context.inbox))
+        follower = LogFollower(context.bus, LogView.POSE, context.inbox.put)
+        stack.enter_context(closing(follower))
+        # Keyframes are kept in memory only, so the log is always read from its beginning.
+        follower.start(0, "")
+        while True:
+            first = context.inbox.take(optimizer.patience_s())
+            events = [] if first is None else [first, *context.inbox.drain(EVENTS_PER_STEP - 1)]
+            optimizer.handle(events)
+
+
+class Optimizer:
+    """The state of the process and how events change it; for one thread.
+
+    Args:
+        store: Loops, revision and corrections.
+        bus: To publish corrections.
+        config: Section `optimizer`.
+        submit: Starts a job.
+        instance: Name in the status.
+        clock_s: Monotonic time.
+        now_ns: Time since the Unix epoch, for stamps.
+    """
+
+    def __init__(
+        self,
+        store: LoopStore,
+        bus: Bus,
+        config: OptimizerConfig,
+        submit: Submit,
+        instance: str,
+        clock_s: Callable[[], float] = time.monotonic,
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._store = store
+        self._bus = bus
+        self._config = config
+        self._submit = submit
+        self._instance = instance
+        self._clock_s = clock_s
+        self._now_ns = now_ns
+        self._maps = Maps(config)
+        self._corrections = {c.keyframe.agent: c for c in store.corrections()}
+        self._counters: Counter[str] = Counter(faulty_loops=len(store.faults()))
+        self._last_job_ms = 0.0
+        self._log_id, self._cursor, self._head = "", 0, 0
+        # Loops that came before the log they belong to was known to be another one.
+        self._fresh: set[str] = set()
+        self._uncorrected: set[SegmentId] = set()
+        self._epoch = 0
+        self._running = False
+        self._quiet_since_s = clock_s()
+        for loop in store.loops():
+            self._maps.add_loop(loop)
+
+    # --- events ------------------------------------------------------------------------------
+
+    def handle(self, events: Sequence[object]) -> None:
+        """Work off events, then optimise what needs it and answer what was asked."""
+        self._take_loops([event.query for event in events if isinstance(event, LoopBrought)])
+        for event in events:
+            match event:
+                case LogReset(log_id):
+                    self._start_over(log_id)
+                case LogPage():
+                    self._read(event)
+                case Optimised():
+                    self._finish(event)
+                case OptimisationCrashed(error):
+                    raise error
+        self._optimise()
+        self._correct_new_segments()
+        for event in events:
+            match event:
+                case StatusRequest(query):
+                    query.reply(codec.encode(self.status()))
+                case Asked(query):
+                    answer_question(query, self._maps, self._corrections)
+
+    def patience_s(self) -> float | None:
+        """How long to wait for events; None: until there is one."""
+        if self._running or not self._caught_up or not self._maps.stale(with_keyframes=True):
+            return None
+        return max(0.0, self._quiet_since_s + self._config.settle_s - self._clock_s())
+
+    def status(self) -> Status:
+        """Dirty until the maps are what decision 0003 makes of the log so far and the loops."""
+        counters = {
+            **self._counters,
+            "maps": len(self._maps.map_list().maps),
+            "keyframes": self._maps.num_keyframes,
+            "loops": self._maps.num_loops,
+            "last_optimisation_ms": self._last_job_ms,
+            "map_revision": self._store.revision,
+        }
+        return Status(
+            service="optimizer",
+            instance=self._instance,
+            log_id=self._log_id,
+            cursor=self._cursor,
+            pending=len(self._maps.pending),
+            leased=0,
+            dirty=self._running or bool(self._maps.stale(with_keyframes=True)),
+            counters={name: float(value) for name, value in sorted(counters.items())},
+        )
+
+    # --- loops -------------------------------------------------------------------------------
+
+    def _take_loops(self, queries: Sequence[Query]) -> None:
+        """Make loops durable with one commit, take them among the inputs, then ack them."""
+        admitted: list[tuple[Query, LoopClosure]] = []
+        for query in queries:
+            verdict = admit(query.payload)
+            if isinstance(verdict, LoopClosure):
+                admitted.append((query, verdict))
+            else:
+                self._counters["rejected_loops"] += 1
+                logger.warning("rejected a loop: %s: %s", verdict.code, verdict.reason)
+                reply(query, verdict)
+        if not admitted:
+            return
+        try:
+            new = self._store.add([(loop.job_id, query.payload) for query, loop in admitted])
+        except StoreUnavailable as error:
+            logger.error("%d loops not stored: %s", len(admitted), error)
+            for query, _ in admitted:
+                reply(query, RetryAfter(RETRY_AFTER_S, "cannot store now"))
+            return
+        for (query, loop), is_new in zip(admitted, new, strict=True):
+            if is_new:
+                self._fresh.add(loop.job_id)
+                self._maps.add_loop(loop)
+                logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand)
+            reply(query, Stored() if is_new else Duplicate())
+
+    # --- the log -----------------------------------------------------------------------------
+
+    def _start_over(self, log_id: str) -> None:
+        """Read the log from its beginning; another log has other loops."""
+        logger.info("reading log %s from its beginning", log_id)
+        if self._store.log_id != log_id:
+            # A worker may know of the new log before us: what waits for its keyframes stays.
+            is_first = self._store.log_id == ""
+            keep = self._maps.pending if is_first else self._maps.pending & self._fresh
+            self._store.begin_log(log_id, keep)
+            self._corrections.clear()
+        self._maps.clear()
+        self._fresh.clear()
+        self._uncorrected.clear()
+        for loop in self._store.loops():
+            self._maps.add_loop(loop)
+        self._log_id, self._cursor, self._head = log_id, 0, 0
+        self._counters["gaps"] = 0
+        self._epoch += 1
+
+    def _read(self, page: LogPage) -> None:
+        if page.log_id != self._log_id:
+            raise RuntimeError(f"a page of log {page.log_id} while reading {self._log_id}")
+        self._head = max(self._head, page.head)
+        for entry in page.entries:
+            if entry.log_index != self._cursor:
+                raise RuntimeError(f"log entry {entry.log_index} came instead of {self._cursor}")
+            self._cursor += 1
+            if isinstance(entry.item, Gap):
+                self._counters["gaps"] += 1
+                continue
+            is_new = self._maps.add_keyframe(entry.log_index, entry.item, self._store.revision)
+            if is_new:
+                self._uncorrected.add(entry.item.id.segment)
+            self._quiet_since_s = self._clock_s()
+
+    @property
+    def _caught_up(self) -> bool:
+        """Half a log would give half a map, and corrections from it."""
+        return self._cursor == self._head
+
+    # --- optimisation ------------------------------------------------------------------------
+
+    def _optimise(self) -> None:
+        """Start a job when something is stale and none runs."""
+        if self._running or not self._caught_up:
+            return
+        settled = self._clock_s() >= self._quiet_since_s + self._config.settle_s
+        stale = self._maps.stale(with_keyframes=settled)
+        if stale:
+            self._running = True
+            self._submit(tuple(map(self._maps.component, stale)), self._epoch)
+
+    def _finish(self, done: Optimised) -> None:
+        """Publish what a job found as far as it is still true; what is not stays stale."""
+        self._running = False
+        if done.epoch != self._epoch:
+            return
+        self._counters["optimisations"] += 1
+        self._last_job_ms = done.duration_ms
+        if done.faults:
+            self._store.mark(done.faults)
+            for fault in done.faults:
+                logger.error("loop %s is left out: %s", fault.job_id, fault.reason)
+                self._counters["faulty_loops"] += 1
+                self._maps.remove_loop(fault.job_id)
+        revision = self._store.revision + 1
+        changed: set[SegmentId] = set()
+        for estimate in done.estimates:
+            self._counters["not_converged"] += not estimate.converged
+            if self._maps.apply(estimate, revision):
+                changed |= set(estimate.placements)
+            else:
+                self._counters["outdated_optimisations"] += 1
+        if changed:
+            self._publish(revision, changed)
+
+    # --- corrections -------------------------------------------------------------------------
+
+    def _correct_new_segments(self) -> None:
+        """A segment's first correction; not before its map shows what is known of it."""
+        if not self._uncorrected or not self._caught_up:
+            return
+        stale = {name for segments, _ in self._maps.stale(False) for name in segments}
+        if ready := self._uncorrected - stale:
+            self._publish(self._store.revision, ready)
+
+    def _publish(self, revision: int, segments: set[SegmentId]) -> None:
+        """Corrections to the agents whose newest segment is among `segments`."""
+        corrections: list[Correction] = []
+        for segment in self._maps.newest_segments():
+            found = self._maps.placement(segment)
+            if segment in segments and found is not None:
+                previous = self._corrections.get(segment.agent)
+                corrections.append(make_correction(*found, previous, self._config, self._now_ns()))
+        self._store.publish(revision, corrections)
+        self._uncorrected -= segments
+        for correction in corrections:
+            agent = correction.keyframe.agent
+            self._corrections[agent] = correction
+            self._counters["jumps"] += correction.jumped
+            self._bus.put(keyexprs.agent_correction(agent), codec.encode(correction))

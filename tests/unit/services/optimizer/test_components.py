@@ -1,0 +1,29 @@
+"""Maps are the connected components of segments over loops."""
+
+import itertools
+
+from services.optimizer.components import segment_groups
+from tests.fleets import closure, keyframe
+
+
+def test_groups_do_not_depend_on_the_order_of_loops():
+    kf = [keyframe(f"agent{n}", n, 0).id for n in range(5)]
+    first = {kf[n].segment: 10 - n for n in range(5)}
+    loops = [closure(kf[0], kf[1]), closure(kf[3], kf[1]), closure(kf[4], kf[4])]
+    expected = [
+        ((kf[4].segment,), (loops[2],)),
+        ((kf[3].segment, kf[1].segment, kf[0].segment), tuple(sorted(loops[:2], key=job_id))),
+        ((kf[2].segment,), ()),
+    ]
+    for order in itertools.permutations(loops):
+        assert segment_groups(first, order) == expected
+
+
+def test_loops_within_a_segment_join_nothing():
+    a, b = keyframe("a", 0, 0).id, keyframe("a", 0, 9).id
+    loop = closure(b, a)
+    assert segment_groups({a.segment: 0}, [loop]) == [((a.segment,), (loop,))]
+
+
+def job_id(loop):
+    return loop.job_id
