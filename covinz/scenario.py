@@ -156,7 +156,7 @@ class World(Section):
     # Box-shaped objects on the floor.
     num_objects: Count = 6
     # Landmarks per square metre of walls and objects; floor and ceiling have a third. [1/m^2]
-    landmark_density: Positive = 60.0
+    landmark_density: Positive = 100.0
     # Standard deviation of an observed position, per axis. [px]
     noise_px: NonNegative = 0.7
     # Share of an image's features that belong to nothing.
