@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
-import os
 import signal
 import sys
 import threading
@@ -24,6 +23,7 @@ from covinz import config as configuration
 from covinz import keyexprs
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError
+from covinz.telemetry import set_up_logging
 
 logger = logging.getLogger(__name__)
 
@@ -228,23 +228,6 @@ def serve_on(
             return 1
         logger.info("stopped")
         return 0
-
-
-def set_up_logging(name: str, instance: str) -> None:
-    """Log one line an event to standard error; the level comes from ``COVINZ_LOG``."""
-    who = instance if instance.startswith(name) else f"{name}/{instance}"
-    formatter = logging.Formatter(
-        f"%(asctime)s.%(msecs)03dZ %(levelname)-7s {who} %(name)s: %(message)s",
-        datefmt="%Y-%m-%dT%H:%M:%S",
-    )
-    formatter.converter = time.gmtime
-    handler = logging.StreamHandler()
-    handler.setFormatter(formatter)
-    level = os.environ.get("COVINZ_LOG", "INFO").upper()
-    known = logging.getLevelNamesMapping()
-    logging.basicConfig(level=known.get(level, logging.INFO), handlers=[handler], force=True)
-    if level not in known:
-        logger.warning("COVINZ_LOG=%s is not a level; using INFO", level)
 
 
 def _arguments(name: str) -> argparse.Namespace:
