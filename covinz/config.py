@@ -319,7 +319,10 @@ def _assign(values: dict[str, Any], path: list[str], text: str) -> None:
         values = values.setdefault(key, {})
         if not isinstance(values, dict):
             raise ConfigError(f"{'.'.join(path)}: {key} is not a section")
-    values[path[-1]] = yaml.safe_load(text)
+    try:
+        values[path[-1]] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{'.'.join(path)}: {text!r} is not a value") from error
 
 
 if __name__ == "__main__":

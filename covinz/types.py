@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 AGENT_PATTERN = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
 ULID_PATTERN = re.compile(r"[0-7][0-9A-HJKMNP-TV-Z]{25}")
+_SEQ_PATTERN = re.compile(r"0|[1-9][0-9]{0,18}")
 
 
 def frozen_array(
@@ -30,12 +31,16 @@ def frozen_array(
     Args:
         values: Anything that numpy makes an array of.
         shape: Wanted shape; None accepts any length of that axis.
-        dtype: Wanted element type; a conversion that would lose values raises.
+        dtype: Wanted element type.
 
     Raises:
-        ValueError: If the shape differs.
+        ValueError: If the shape differs, or an integer or boolean array cannot hold the values.
     """
-    array = np.array(values, dtype=dtype, order="C", copy=True)
+    source = np.asarray(values)
+    with np.errstate(invalid="ignore", over="ignore"):
+        array = source.astype(dtype, order="C", copy=True)
+    if array.dtype.kind in "iub" and source.dtype != array.dtype and np.any(array != source):
+        raise ValueError(f"not all values are {array.dtype}")
     if array.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
     ):
@@ -69,8 +74,9 @@ class KeyframeId:
     @classmethod
     def parse(cls, text: str) -> KeyframeId:
         """Read ``agent/session/seq``; raises ValueError when `text` is anything else."""
-        agent, session, seq = text.split("/")
-        if not (AGENT_PATTERN.fullmatch(agent) and ULID_PATTERN.fullmatch(session)):
+        agent, session, seq = text.split("/") if text.count("/") == 2 else ("", "", "")
+        well_formed = AGENT_PATTERN.fullmatch(agent) and ULID_PATTERN.fullmatch(session)
+        if not (well_formed and _SEQ_PATTERN.fullmatch(seq) and int(seq) < 2**63):
             raise ValueError(f"not a keyframe id: {text!r}")
         return cls(agent, session, int(seq))
 
