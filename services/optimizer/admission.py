@@ -1,4 +1,4 @@
-"""Which loops the optimizer takes: well formed, rigid, with a covariance that has an inverse."""
+"""Which loops the optimizer takes: well formed, near, with a covariance that has an inverse."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import enum
 import numpy as np
 
 from covinz import codec
-from covinz.frames import is_rigid
 from covinz.types import LoopClosure, Rejected
 
 # Loops are metres long; beyond this numbers overflow before they mean anything. [m]
@@ -26,24 +25,20 @@ class Code(enum.Enum):
 
 
 def admit(payload: bytes) -> LoopClosure | Rejected:
-    """Read a loop closure as a worker sent it, or say what is wrong with it."""
+    """Read a loop closure as a worker sent it, or say what is wrong with it.
+
+    Decoding has checked that the pose is rigid and the covariance positive definite.
+    """
     try:
         loop = codec.decode(payload, LoopClosure)
     except codec.MalformedMessage as error:
         return Rejected(Code.MALFORMED.value, str(error))
     if loop.query == loop.cand:
         return Rejected(Code.SELF_LOOP.value, f"{loop.query} is query and candidate")
-    if not is_rigid(loop.T_cand_query) or np.abs(loop.T_cand_query).max() > MAX_TRANSLATION_M:
-        reason = f"T_cand_query is not a rigid transform of at most {MAX_TRANSLATION_M:g} m"
-        return Rejected(Code.BAD_POSE.value, reason)
-    if not _is_covariance(loop.covariance):
-        reason = "covariance is not symmetric positive definite and well conditioned"
+    if np.linalg.norm(loop.T_cand_query[:3, 3]) > MAX_TRANSLATION_M:
+        return Rejected(Code.BAD_POSE.value, f"farther than {MAX_TRANSLATION_M:g} m")
+    eigenvalues = np.linalg.eigvalsh(loop.covariance)
+    if not eigenvalues[0] >= MIN_RECIPROCAL_CONDITION * eigenvalues[-1]:
+        reason = f"covariance has eigenvalues {eigenvalues[0]:g} to {eigenvalues[-1]:g}"
         return Rejected(Code.BAD_COVARIANCE.value, reason)
     return loop
-
-
-def _is_covariance(matrix: np.typing.NDArray[np.float64]) -> bool:
-    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0):
-        return False
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    return bool(eigenvalues[0] > MIN_RECIPROCAL_CONDITION * eigenvalues[-1] > 0.0)

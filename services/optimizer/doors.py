@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 from covinz import codec, keyexprs
-from covinz.bus import Bus, Query
+from covinz.bus import Bus, MessageTooLarge, Query
 from covinz.service import Inbox
 from covinz.types import Correction, RetryAfter, UploadReply
 from services.optimizer.maps import Maps
+
+logger = logging.getLogger(__name__)
 
 # What a worker is told to wait when a loop cannot be taken now. [s]
 RETRY_AFTER_S = 0.5
@@ -58,8 +61,11 @@ def answer_question(query: Query, maps: Maps, corrections: Mapping[str, Correcti
     found = _find(query.key, maps, corrections)
     if found is None:
         query.drop()
-    else:
+        return
+    try:
         query.reply(codec.encode(found))
+    except MessageTooLarge as error:  # the query has been ended
+        logger.error("no answer to %s: %s", query.key, error)
 
 
 def _find(key: str, maps: Maps, corrections: Mapping[str, Correction]) -> object | None:

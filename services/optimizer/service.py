@@ -14,11 +14,10 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from typing import Protocol
 
-from covinz.log_follower import LogFollower, LogReset
-
 from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.config import OptimizerConfig
+from covinz.log_follower import LogFollower, LogReset
 from covinz.service import Context, StatusRequest
 from covinz.types import (
     Correction,
@@ -218,6 +217,7 @@ class Optimizer:
             keep = self._maps.pending if is_first else self._maps.pending & self._fresh
             self._store.begin_log(log_id, keep)
             self._corrections.clear()
+        self._counters["faulty_loops"] = len(self._store.faults())
         self._maps.clear()
         self._fresh.clear()
         self._uncorrected.clear()
