@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from covinz.g2o import information_to_g2o, write_g2o
 from covinz.types import Array, KeyframeId, MapSnapshot, MapSummary, SegmentId
 
 SESSIONS = ("01ARZ3NDEKTSV4RRFFQ69G5FAV", "01BX5ZZKBKACTAV9WEVGEMMVRZ")
-DATA = Path(os.environ.get("COVINZ_DATA", "../shared/data")) / "posegraphs"
 
 Graph = tuple[dict[int, Array], list[tuple[int, int, Array, Array]]]
 
@@ -123,11 +121,8 @@ def test_a_single_vertex_makes_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.data
-def test_the_reader_reads_published_graphs_as_it_reads_ours() -> None:
+def test_the_reader_reads_published_graphs_as_it_reads_ours(recorded_data: Path) -> None:
     """The small reader above is no private dialect: it parses a public file as well."""
-    path = DATA / "single" / "sphere2500.g2o"
-    if not path.exists():
-        pytest.skip(f"no {path}")
-    vertices, edges = read_g2o(path)
+    vertices, edges = read_g2o(recorded_data / "posegraphs" / "single" / "sphere2500.g2o")
     assert (len(vertices), len(edges)) == (2500, 4949)
     assert all(np.linalg.eigvalsh(edge[3]).min() > 0 for edge in edges[:50])
