@@ -91,8 +91,12 @@ class Worker:
             if self._asking:
                 # A lease that is on its way is lost, and ends when the token vanishes.
                 self._bus.interrupt()
-        self._thread.join()
+        self.join()
         self._token.close()
+
+    def join(self) -> None:
+        """Wait for the end of the thread."""
+        self._thread.join()
 
     def _run(self) -> None:
         try:
