@@ -11,6 +11,8 @@ from covinz.types import LoopClosure, Rejected
 
 # Loops are metres long; beyond this numbers overflow before they mean anything. [m]
 MAX_TRANSLATION_M = 1e4
+# No loop is known better than to a micrometre and a microradian. [m^2, rad^2]
+MIN_VARIANCE = 1e-12
 # Smallest over largest eigenvalue of a covariance whose inverse is still accurate to six digits.
 MIN_RECIPROCAL_CONDITION = 1e-10
 
@@ -38,7 +40,7 @@ def admit(payload: bytes) -> LoopClosure | Rejected:
     if np.linalg.norm(loop.T_cand_query[:3, 3]) > MAX_TRANSLATION_M:
         return Rejected(Code.BAD_POSE.value, f"farther than {MAX_TRANSLATION_M:g} m")
     eigenvalues = np.linalg.eigvalsh(loop.covariance)
-    if not eigenvalues[0] >= MIN_RECIPROCAL_CONDITION * eigenvalues[-1]:
+    if not eigenvalues[0] >= max(MIN_VARIANCE, MIN_RECIPROCAL_CONDITION * eigenvalues[-1]):
         reason = f"covariance has eigenvalues {eigenvalues[0]:g} to {eigenvalues[-1]:g}"
         return Rejected(Code.BAD_COVARIANCE.value, reason)
     return loop

@@ -41,7 +41,8 @@ def with_covariance(matrix: object) -> LoopClosure:
         (codec.encode(Gap("a", A.session, 0, 1, "spool")), Code.MALFORMED),
         (codec.encode(closure(A, A)), Code.SELF_LOOP),
         (codec.encode(far()), Code.BAD_POSE),
-        (codec.encode(with_covariance(np.diag([1, 1, 1, 1, 1, 1e-12]))), Code.BAD_COVARIANCE),
+        (codec.encode(with_covariance(np.diag([1, 1, 1, 1, 1, 1e-11]))), Code.BAD_COVARIANCE),
+        (codec.encode(with_covariance(1e-13 * np.eye(6))), Code.BAD_COVARIANCE),
     ],
 )
 def test_a_bad_loop_is_rejected_with_the_check_that_failed(payload: bytes, code: Code) -> None:
