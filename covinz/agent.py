@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
@@ -74,22 +75,23 @@ class Agent:
         self._on_rejected = on_rejected
         self._sending = threading.Lock()  # session and sequence number go together
         self._closed = False
-        self._spool = Spool(Path(spool), agent_id, self._config.agent.max_spool_bytes)
-        try:
+        with ExitStack() as undo:
+            self._spool = Spool(Path(spool), agent_id, self._config.agent.max_spool_bytes)
+            undo.callback(self._spool.close)
             self._bus, self._own_bus = _bus(bus, self._config)
-        except BaseException:
-            self._spool.close()
-            raise
-        self._uploader = Uploader(
-            self._bus, self._spool, agent_id, self._config.agent, self._rejected
-        )
-        self._feed = CorrectionFeed(self._bus, agent_id, self._session, on_correction)
-        self._declared = [
-            self._bus.declare_alive(keyexprs.agent_alive(agent_id)),
-            self._bus.watch_answered(keyexprs.agent_keyframe(agent_id), self._on_ingest),
-            self._bus.watch_answered(keyexprs.agent_correction(agent_id), self._on_optimizer),
-        ]
-        self._uploader.start()
+            if self._own_bus:
+                undo.callback(self._bus.close)
+            self._uploader = Uploader(
+                self._bus, self._spool, agent_id, self._config.agent, self._rejected
+            )
+            self._feed = CorrectionFeed(self._bus, agent_id, self._session, on_correction)
+            self._declared = [
+                self._bus.declare_alive(keyexprs.agent_alive(agent_id)),
+                self._bus.watch_answered(keyexprs.agent_keyframe(agent_id), self._on_ingest),
+                self._bus.watch_answered(keyexprs.agent_correction(agent_id), self._on_optimizer),
+            ]
+            self._uploader.start()
+            undo.pop_all()
 
     @property
     def session(self) -> str:

@@ -123,7 +123,7 @@ class Uploader:
             try:
                 answer: UploadReply | None = self._attempt(row)
             except _NoAnswer as error:
-                logger.debug("no answer to %s: %s", row, error)
+                logger.debug("%s/%d: %s", row.session, row.first_seq, error)
                 answer = None
             timed_out = time.monotonic() - started >= self._config.ack_timeout_s
             is_settled = self._settle(row, answer)

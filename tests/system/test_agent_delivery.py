@@ -92,7 +92,7 @@ def test_killing_ingest_again_and_again(server: Processes, tmp_path: Path) -> No
     server.start("router", "ingest")
     head = Head(server)
     with Agent("a0", server.endpoint, tmp_path / "a0.spool") as agent:
-        sent = []
+        sent: list[KeyframeId] = []
         for round_ in range(1, 4):
             sent += [agent.send(content(len(sent) + i, num_features=200)) for i in range(40)]
             head.wait_for(25 * round_)
