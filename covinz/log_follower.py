@@ -1,4 +1,4 @@
-"""Follows the keyframe log from a cursor: one code path for start, restart and lost publications."""
+"""Follows the keyframe log: start, restart and lost publications are one code path."""
 
 from __future__ import annotations
 

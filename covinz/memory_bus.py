@@ -13,12 +13,12 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from covinz.bus import BusClosed, Closable, MessageTooLarge, Query
+from covinz.bus import BusClosed, Closable, MessageTooLarge, Query, check_size
+from covinz.config import BusConfig
 
 logger = logging.getLogger(__name__)
 
-MAX_MESSAGE_BYTES = 16 * 1024 * 1024
-QUERY_TIMEOUT_S = 10.0
+_CONFIG = BusConfig()
 
 
 @cache
@@ -149,7 +149,7 @@ class _MemoryQuery:
 
     def reply(self, payload: bytes) -> None:
         try:
-            _check_size(payload)
+            check_size(payload, _CONFIG.max_message_bytes)
         except MessageTooLarge:
             self.drop()
             raise
@@ -183,7 +183,7 @@ class InMemoryBus:
 
     def put(self, key: str, payload: bytes) -> None:
         """See `Bus.put`."""
-        _check_size(payload)
+        check_size(payload, _CONFIG.max_message_bytes)
         with self.hub.lock:
             if not self._closed:
                 for entry in _matching(self.hub.subscribers, key):
@@ -195,7 +195,7 @@ class InMemoryBus:
 
     def ask(self, key: str, payload: bytes = b"", timeout_s: float | None = None) -> list[bytes]:
         """See `Bus.ask`."""
-        _check_size(payload)
+        check_size(payload, _CONFIG.max_message_bytes)
         wait = _Wait()
         with self.hub.lock:
             self._raise_if_interrupted()
@@ -205,7 +205,7 @@ class InMemoryBus:
             wait.start(queries)
             for entry, query in zip(answerers, queries, strict=True):
                 entry.owner.asked(entry, query)
-        wait.over.wait(QUERY_TIMEOUT_S if timeout_s is None else timeout_s)
+        wait.over.wait(_CONFIG.query_timeout_s if timeout_s is None else timeout_s)
         with self.hub.lock:
             self._waits.remove(wait)
             self._raise_if_interrupted()
@@ -295,8 +295,3 @@ class InMemoryBus:
 
 def _matching(entries: list[_Entry], key: str) -> list[_Entry]:
     return [entry for entry in entries if intersects(entry.key, key)]
-
-
-def _check_size(payload: bytes) -> None:
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise MessageTooLarge(f"{len(payload)} bytes; the bus carries at most {MAX_MESSAGE_BYTES}")

@@ -1,134 +1,27 @@
-"""The message bus: what every process needs of Zenoh, and the only module that imports it.
-
-`Bus` is the protocol that the rest of covinz is written against. `ZenohBus` is the real one;
-`covinz.memory_bus.InMemoryBus` plays it in unit tests. `open_router` is the hub in the middle.
-"""
+"""The bus over Zenoh: a session in client mode that may lose its router and get it back."""
 # Parts of Zenoh's own type hints lack a return type.
 # mypy: untyped-calls-exclude=zenoh
 
 from __future__ import annotations
 
 import functools
-import json
 import logging
 import threading
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import zenoh
 
 from covinz import codec
+from covinz.bus.protocol import BusClosed, Closable, Query, check_size
+from covinz.bus.settings import client_settings
 from covinz.config import BusConfig
 
 logger = logging.getLogger(__name__)
 
-# A message on the link is this much larger than its payload: key, encoding, headers. [bytes]
-_ENVELOPE_BYTES = 4096
 # Pauses between attempts to reach a router that is not there grow from ... to ... [s]
 _MIN_RETRY_S = 0.1
 _MAX_RETRY_S = 1.0
-
-
-class BusError(RuntimeError):
-    """The bus cannot be used as it is configured, e.g. a malformed or occupied endpoint."""
-
-
-class BusClosed(RuntimeError):
-    """The bus was closed or interrupted: there are no answers any more."""
-
-
-class MessageTooLarge(ValueError):
-    """A payload beyond `BusConfig.max_message_bytes`; the router would drop it silently."""
-
-
-class Closable(Protocol):
-    """A declaration that can be withdrawn."""
-
-    def close(self) -> None:
-        """Withdraw it; once closed, closing again does nothing."""
-
-
-class Query(Protocol):
-    """A question that somebody waits for; may be answered later, from any thread, once."""
-
-    @property
-    def key(self) -> str:
-        """Key expression that was asked."""
-
-    @property
-    def payload(self) -> bytes:
-        """Body of the question; empty when there is none."""
-
-    def reply(self, payload: bytes) -> None:
-        """Answer and end the query; nothing happens when it has ended or the asker is gone.
-
-        Raises:
-            MessageTooLarge: If the answer does not fit on the bus; the query is dropped.
-        """
-
-    def drop(self) -> None:
-        """End the query without an answer; nothing happens when it has ended."""
-
-
-class Bus(Protocol):
-    """Publish, ask, answer and watch who is alive.
-
-    A callback runs in a thread of the bus, never twice at once for one declaration. It must not
-    block. What it raises is logged, and a query it was given is dropped then.
-    """
-
-    def put(self, key: str, payload: bytes) -> None:
-        """Publish what may be lost; never blocks.
-
-        Raises:
-            MessageTooLarge: If the payload does not fit on the bus.
-        """
-
-    def subscribe(self, key: str, callback: Callable[[str, bytes], None]) -> Closable:
-        """Call `callback(key, payload)` for every publication, from a bus thread."""
-
-    def ask(self, key: str, payload: bytes = b"", timeout_s: float | None = None) -> list[bytes]:
-        """Query everybody who answers `key` and wait until all have replied or dropped it.
-
-        Returns:
-            The replies in order of arrival; empty at once when nobody answers `key` or the router
-            is away (so pause before you ask again), and those so far when time ran out.
-
-        Raises:
-            MessageTooLarge: If the payload does not fit on the bus.
-            BusClosed: If the bus was closed or interrupted, also during the wait.
-        """
-
-    def answer(self, key: str, callback: Callable[[Query], None]) -> Closable:
-        """Call `callback(query)` for every question, from a bus thread; it must not block.
-
-        Every query must be replied to or dropped, or its asker waits until its time is up.
-        """
-
-    def watch_answered(self, key: str, callback: Callable[[bool], None]) -> Closable:
-        """Call `callback(there)` when somebody begins to answer `key` and when nobody does.
-
-        For a sender that was not heard: it need not sleep out its pause when the other side or
-        the router returns. The first call comes as soon as somebody is there.
-        """
-
-    def declare_alive(self, key: str) -> Closable:
-        """Hold a liveliness token until it is closed or this process dies."""
-
-    def watch_alive(self, key: str, callback: Callable[[str, bool], None]) -> Closable:
-        """Call `callback(key, alive)` for tokens that are there, appear and vanish.
-
-        All tokens vanish when the router does and appear again when it is back.
-        """
-
-    def alive(self, key: str) -> list[str]:
-        """Keys of the tokens that exist now, sorted."""
-
-    def interrupt(self) -> None:
-        """End every `ask`, now and later, with BusClosed; everything else goes on."""
-
-    def close(self) -> None:
-        """End the session and everything declared on it; open queries are dropped."""
 
 
 class _ZenohQuery:
@@ -149,7 +42,7 @@ class _ZenohQuery:
             logger.warning("a second reply to a query on %s was not sent", self.key)
             return
         try:
-            _check_size(payload, self._max_bytes)
+            check_size(payload, self._max_bytes)
             query.reply(self._reply_key, payload, encoding=_encoding(payload))
         except zenoh.ZError as error:
             logger.debug("the asker on %s is gone: %s", self.key, error)
@@ -224,7 +117,7 @@ class ZenohBus:
         Raises:
             BusError: If the endpoint is malformed.
         """
-        bus = cls(config, _client_settings(config))
+        bus = cls(config, client_settings(config))
         bus.wait_connected(wait_s)
         return bus
 
@@ -234,7 +127,7 @@ class ZenohBus:
 
     def put(self, key: str, payload: bytes) -> None:
         """See `Bus.put`."""
-        _check_size(payload, self._config.max_message_bytes)
+        check_size(payload, self._config.max_message_bytes)
         session = self._session
         if session is None or self._closing.is_set():
             return
@@ -259,7 +152,7 @@ class ZenohBus:
 
     def ask(self, key: str, payload: bytes = b"", timeout_s: float | None = None) -> list[bytes]:
         """See `Bus.ask`."""
-        _check_size(payload, self._config.max_message_bytes)
+        check_size(payload, self._config.max_message_bytes)
         timeout_s = self._config.query_timeout_s if timeout_s is None else timeout_s
         replies: list[bytes] = []
 
@@ -425,86 +318,6 @@ class ZenohBus:
         ended.wait()
         if self._interrupted.is_set():
             raise BusClosed("the bus was closed during the wait")
-
-
-def open_router(config: BusConfig) -> Closable:
-    """Run the hub that all sessions connect to, in threads of this process.
-
-    Raises:
-        BusError: If the endpoint is malformed or somebody listens there already.
-    """
-    limit = config.max_message_bytes + _ENVELOPE_BYTES
-    size_limit = {
-        "id": "size",
-        "flows": ["ingress"],
-        "messages": ["put", "query", "reply"],
-        "key_exprs": ["**"],
-        "size_limit": limit,
-    }
-    settings = _settings(
-        config,
-        {
-            "mode": "router",
-            "listen/endpoints": [config.endpoint],
-            "connect/endpoints": [],
-            "low_pass_filter": [size_limit],
-        },
-    )
-    try:
-        return _Router(zenoh.open(settings))
-    except zenoh.ZError as error:
-        raise BusError(f"cannot listen on {config.endpoint}: {error}") from error
-
-
-class _Router:
-    """The hub while it runs."""
-
-    def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
-
-    def close(self) -> None:
-        """Stop; all sessions lose their connection and wait for the next router."""
-        self._session.close()
-
-
-def _client_settings(config: BusConfig) -> zenoh.Config:
-    return _settings(
-        config,
-        {
-            "mode": "client",
-            "connect/endpoints": [config.endpoint],
-            # One attempt to open (we repeat it ourselves, so that it can be interrupted) ...
-            "connect/timeout_ms": 0,
-            # ... and soon again, without end, once a connection is lost.
-            "connect/retry": {
-                "period_init_ms": 100,
-                "period_max_ms": 1000,
-                "period_increase_factor": 2,
-            },
-        },
-    )
-
-
-def _settings(config: BusConfig, special: dict[str, object]) -> zenoh.Config:
-    """Zenoh's configuration: what all sessions share, and what is special to one kind."""
-    shared: dict[str, object] = {
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
-        "transport/link/rx/max_message_size": config.max_message_bytes + 2 * _ENVELOPE_BYTES,
-    }
-    settings = zenoh.Config()
-    for name, value in (shared | special).items():
-        try:
-            settings.insert_json5(name, json.dumps(value))
-        except zenoh.ZError as error:
-            raise BusError(f"cannot use {name} = {value}: {error}") from error
-    return settings
-
-
-def _check_size(payload: bytes, max_bytes: int) -> None:
-    if len(payload) > max_bytes:
-        raise MessageTooLarge(f"{len(payload)} bytes; the bus carries at most {max_bytes}")
 
 
 def _logged(callback: Callable[[Any], None]) -> Callable[[Any], None]:
