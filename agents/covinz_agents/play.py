@@ -3,7 +3,7 @@
 python -m covinz_agents.play SCENARIO --endpoint tcp/HOST:7447 --spool DIR [--summary FILE]
 
 Exit code 0: the server has every keyframe; 1: it has not, the spools keep the rest; 2: the
-scenario or its data cannot be used.
+scenario, its data or a spool cannot be used.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from covinz.config import BusConfig, ConfigError
 from covinz.scenario import Scenario, load_scenario
+from covinz.spool import SpoolError
 from covinz.trajectory import TrajectoryError
 from covinz_agents.player import NotDelivered, PlayOptions, Report, Robot, play
 from covinz_agents.source import DatasetError
@@ -49,13 +50,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         scenario = load_scenario(arguments.scenario)
         with _progress(arguments.progress) as progress:
             summary = play(scenario, options, stop, _bars(progress, scenario))
-    except (ConfigError, DatasetError, TrajectoryError) as error:
+    except (ConfigError, DatasetError, SpoolError, TrajectoryError) as error:
         log.error("%s", error)
         return 2
     except NotDelivered as error:
         log.error("%s", error)
         return 1
     if arguments.summary:
+        results.mkdir(parents=True, exist_ok=True)
         arguments.summary.write_text(json.dumps(summary, indent=2) + "\n")
     return 0
 

@@ -289,7 +289,7 @@ def _summary(scenario: Scenario, options: PlayOptions, robots: Sequence[Robot]) 
             "session": robot.agent.session,
             "keyframes": robot.sent,
             "bytes": robot.sent_bytes,
-            "duration_s": (frames[-1].stamp_ns - frames[0].stamp_ns) * 1e-9,
+            "duration_s": (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9,
             "rejected": len(robot.rejected),
             "frames": len(frames),
             "images_without_pose": robot.source.skipped,
