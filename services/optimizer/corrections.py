@@ -27,7 +27,8 @@ def make_correction(
         placement: Of the segment.
         previous: The agent's last correction, perhaps of another session.
         config: Limits of a jump.
-        stamp_ns: Time to put on it.
+        stamp_ns: Time to put on it; a later one than `previous` has in any case, so that a clock
+            that was set back does not make it look old.
     """
     map_id = published.estimate.map_id
     return Correction(
@@ -36,7 +37,7 @@ def make_correction(
         map_revision=published.revision,
         T_map_odom=placement.T_map_odom,
         jumped=previous is not None and _jumped(previous, map_id, placement, config),
-        stamp_ns=stamp_ns,
+        stamp_ns=stamp_ns if previous is None else max(stamp_ns, previous.stamp_ns + 1),
     )
 
 

@@ -43,6 +43,11 @@ def test_the_first_correction_is_no_jump() -> None:
     assert not correction(yaw(3.0)).jumped
 
 
+def test_time_stamps_grow_even_if_the_clock_is_set_back() -> None:
+    first = correction(np.eye(4))
+    assert correction(np.eye(4), first).stamp_ns == first.stamp_ns + 1
+
+
 @pytest.mark.parametrize(
     ("T_map_odom", "jumped"),
     [
