@@ -85,11 +85,11 @@ class Intake:
             limit = self._config.max_upload_bytes
             return self._reject(query, Code.TOO_LARGE, f"{len(payload)} of {limit} bytes")
         if not self._enter(agent):
-            return self._defer(query, "too many uploads wait")
+            return self._defer(query)
         upload = Upload(agent, is_camera, payload, query)
         if not self._inbox.put(upload, block=False):
             self.done(upload)
-            self._defer(query, "ingest is stopping")
+            self._defer(query)
         return None
 
     def _enter(self, agent: str) -> bool:
@@ -106,7 +106,8 @@ class Intake:
             self._refused[f"rejected.{code.value}"] += 1
         query.reply(codec.encode(rejected(code, reason)))
 
-    def _defer(self, query: Query, reason: str) -> None:
+    def _defer(self, query: Query) -> None:
         with self._lock:
             self._refused["retry_after"] += 1
-        query.reply(codec.encode(RetryAfter(self._config.retry_after_s, reason)))
+        answer = RetryAfter(self._config.retry_after_s, "too many uploads wait")
+        query.reply(codec.encode(answer))

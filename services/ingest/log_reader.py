@@ -115,12 +115,10 @@ class LogReads:
     def _run(self) -> None:
         while (query := self._waiting.get()) is not None:
             try:
-                answer = self._answer(query)
+                query.reply(self._answer(query) or b"")
             except (ValueError, sqlite3.Error) as error:
                 logger.warning("no answer to %s: %s", query.key, error)
                 query.drop()
-            else:
-                query.reply(answer or b"")
 
     def _answer(self, query: Query) -> bytes | None:
         if query.key == keyexprs.LOG_RANGE:

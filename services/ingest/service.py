@@ -173,7 +173,7 @@ class Ingest:
 
     def _answer(self, upload: Upload, answer: UploadReply) -> None:
         match answer:
-            case Duplicate():
+            case Duplicate() if not upload.is_camera:
                 self._counters["duplicates"] += 1
             case NeedCamera():
                 self._counters["need_camera"] += 1

@@ -208,7 +208,7 @@ def test_a_bug_in_admission_stays_with_the_upload_that_met_it(bench: Bench) -> N
 
 
 def test_status_counts(bench: Bench, path: Path) -> None:
-    bench.handle(camera_question(), keyframe_question(0))
+    bench.handle(camera_question(), camera_question("a1"), keyframe_question(0))
     gap = Question(
         codec.encode(Gap("a0", SESSION, 5, 9, "spool full")), keyexprs.agent_keyframe("a0")
     )
