@@ -45,37 +45,19 @@ class LoopSolver:
         try:
             query = build_rig(job.query_rig, self._store)
             cand = build_rig(job.cand_rig, self._store)
-            start_s = self._clock_s()
-            result = covinz_core.solve_loop(query, cand, loop_options(self._config, job.seed))
-            solver_ms = 1e3 * (self._clock_s() - start_s)
         except KeyframeNotFound as error:
             return _rejection(job, "keyframe_missing", str(error))
         except CameraNotFound as error:
             return _rejection(job, "camera_missing", str(error))
         except ValueError as error:
-            # What the robot sent is no input for the core: final, and nobody else's problem.
             return _rejection(job, "error", str(error))
-        if isinstance(result, covinz_core.LoopRejection):
-            return Rejection(
-                job_id=job.id,
-                query=job.query,
-                cand=job.cand,
-                stage=result.stage,
-                count=result.count,
-                threshold=result.threshold,
-                detail=_pair_text(job, result.pair),
-                solver_ms=solver_ms,
-            )
-        return LoopClosure(
-            job_id=job.id,
-            query=job.query,
-            cand=job.cand,
-            T_cand_query=result.T_cand_query,
-            covariance=result.covariance,
-            num_inliers=result.num_inliers,
-            num_matches=sum(result.num_matches),
-            solver_ms=solver_ms,
-        )
+        start_s = self._clock_s()
+        try:
+            result = covinz_core.solve_loop(query, cand, loop_options(self._config, job.seed))
+        except (ValueError, RuntimeError) as error:
+            # What a robot sent is no input for the core: final, and nobody else's problem.
+            return _rejection(job, "error", str(error))
+        return _outcome(job, result, 1e3 * (self._clock_s() - start_s))
 
 
 def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions:
@@ -104,6 +86,32 @@ def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions
         options.max_rotation_rad = config.max_rotation_rad
     options.seed = seed
     return options
+
+
+def _outcome(
+    job: LoopJob, result: covinz_core.LoopEstimate | covinz_core.LoopRejection, solver_ms: float
+) -> Outcome:
+    if isinstance(result, covinz_core.LoopRejection):
+        return Rejection(
+            job_id=job.id,
+            query=job.query,
+            cand=job.cand,
+            stage=result.stage,
+            count=result.count,
+            threshold=result.threshold,
+            detail=_pair_text(job, result.pair),
+            solver_ms=solver_ms,
+        )
+    return LoopClosure(
+        job_id=job.id,
+        query=job.query,
+        cand=job.cand,
+        T_cand_query=result.T_cand_query,
+        covariance=result.covariance,
+        num_inliers=result.num_inliers,
+        num_matches=sum(result.num_matches),
+        solver_ms=solver_ms,
+    )
 
 
 def _pair_text(job: LoopJob, pair: int | None) -> str:

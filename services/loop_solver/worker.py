@@ -66,12 +66,16 @@ class Worker:
         self._config = config
         self._lease_timeout_s = lease_timeout_s
         self._on_failure = on_failure
-        self._stopping = threading.Event()
+        self._stopping = False
+        # Ends a pause early: the process stops, or somebody who was away is back.
+        self._news = threading.Event()
         # Guards `_asking`, so that stop() and a lease that arrives agree on who was first.
         self._lock = threading.Lock()
         self._asking = False
         self._busy = False
-        self._token = bus.declare_alive(keyexprs.worker_alive(worker))
+        self._declared = [bus.declare_alive(keyexprs.worker_alive(worker))]
+        for key in (keyexprs.JOB_LEASE, keyexprs.JOB_DONE, keyexprs.LOOP):
+            self._declared.append(bus.watch_answered(key, self._on_answered))
         self._thread = threading.Thread(target=self._run, name="worker")
         self.counters: Counter[str] = Counter()
 
@@ -86,13 +90,15 @@ class Worker:
 
     def stop(self) -> None:
         """Take no further job, finish the one at hand, and wait for that."""
-        self._stopping.set()
         with self._lock:
+            self._stopping = True
+            self._news.set()
             if self._asking:
                 # A lease that is on its way is lost, and ends when the token vanishes.
                 self._bus.interrupt()
         self.join()
-        self._token.close()
+        for declared in self._declared:
+            declared.close()
 
     def join(self) -> None:
         """Wait for the end of the thread."""
@@ -102,14 +108,14 @@ class Worker:
         try:
             self._pull()
         except BusClosed as error:
-            if not self._stopping.is_set():
+            if not self._stopping:
                 self._on_failure(error)
         except BaseException as error:
             self._on_failure(error)
 
     def _pull(self) -> None:
         pauses = self._pauses_s()
-        while not self._stopping.is_set():
+        while not self._stopping:
             asked_s = time.monotonic()
             lease = self._lease()
             if lease is not None:
@@ -117,20 +123,20 @@ class Worker:
                 self._work(lease.job)
                 self._busy = False
             elif time.monotonic() - asked_s < PROMPT_S:
-                self._stopping.wait(next(pauses))
+                self._pause(next(pauses))
                 continue
             pauses = self._pauses_s()
 
     def _lease(self) -> Lease | None:
         with self._lock:
-            if self._stopping.is_set():
+            if self._stopping:
                 return None
             self._asking = True
         request = codec.encode(LeaseRequest(self._worker))
         replies = self._bus.ask(keyexprs.JOB_LEASE, request, self._lease_timeout_s)
         with self._lock:
             self._asking = False
-            if self._stopping.is_set():
+            if self._stopping:
                 return None
         try:
             return codec.decode(replies[0], Lease) if replies else None
@@ -162,8 +168,9 @@ class Worker:
                 return self._solve(job)
             except StoreUnavailable as error:
                 logger.warning("job %s waits for its keyframes: %s", job.id, error)
-            if self._stopping.wait(pause_s):
+            if self._stopping:
                 break
+            self._pause(pause_s)
         return None
 
     def _send(self, key: str, payload: bytes) -> UploadReply | None:
@@ -180,9 +187,19 @@ class Worker:
                     return answer
                 wait_s = answer.seconds
             self.counters["resent"] += 1
-            if self._stopping.wait(wait_s):
+            if self._stopping:
                 break
+            self._pause(wait_s)
         return None
+
+    def _on_answered(self, is_there: bool) -> None:
+        if is_there:
+            self._news.set()
+
+    def _pause(self, seconds: float) -> None:
+        self._news.wait(seconds)
+        if not self._stopping:
+            self._news.clear()
 
     def _pauses_s(self) -> Iterator[float]:
         """Growing pauses between attempts, without end."""

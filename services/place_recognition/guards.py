@@ -28,7 +28,8 @@ def may_query(
     """
     if seq < config.start_after_keyframes:
         return False
-    if not history.productive:
+    spacing = (config.query_spacing_keyframes, config.query_spacing_s, config.query_spacing_m)
+    if not history.productive or not any(spacing):
         return True
     far = track.distances(seq)
     near = (

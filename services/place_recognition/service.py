@@ -197,6 +197,6 @@ class PlaceRecognition:
         if entry.log_index != self._cursor:
             raise RuntimeError(f"log entry {entry.log_index} came instead of {self._cursor}")
         for job in self._recognizer.process(entry):
-            logger.info("candidate %s for %s, score %.1f", job.cand, job.query, job.score)
+            logger.debug("candidate %s for %s, score %.1f", job.cand, job.query, job.score)
             self._dispatcher.add(job)
         self._cursor += 1
