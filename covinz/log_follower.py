@@ -81,13 +81,13 @@ class LogFollower:
             self._declared.enter_context(closing(declared))
         self._thread.start()
 
-    def close(self) -> None:
-        """Deliver nothing more. Does not wait long for a consumer that blocks."""
+    def close(self, timeout_s: float = CLOSE_S) -> None:
+        """Deliver nothing more; waits at most `timeout_s` for what is under way."""
         self._closing = True
         self._news.set()
         self._declared.close()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(CLOSE_S)
+            self._thread.join(timeout_s)
 
     def _on_head(self, _: str, payload: bytes) -> None:
         try:

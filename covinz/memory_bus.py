@@ -236,7 +236,7 @@ class InMemoryBus:
         return self._add(self.hub.token_watches, key, callback)
 
     def alive(self, key: str) -> list[str]:
-        """See `Bus.alive`."""
+        """Keys of the tokens that exist now, sorted; for tests, Zenoh has no such sure answer."""
         with self.hub.lock:
             self._raise_if_interrupted()
             return sorted({entry.key for entry in _matching(self.hub.tokens, key)})

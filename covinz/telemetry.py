@@ -16,8 +16,14 @@ logger = logging.getLogger(__name__)
 MAX_DURATIONS = 512
 
 
-def set_up_logging(name: str, instance: str) -> None:
-    """Log one line an event to standard error, in UTC; the level comes from ``COVINZ_LOG``."""
+def set_up_logging(name: str, instance: str, level: str | None = None) -> None:
+    """Log one line an event to standard error, in UTC.
+
+    Args:
+        name: Kind of process.
+        instance: Which one of several.
+        level: Name of the lowest level that is logged; default: ``COVINZ_LOG``, else INFO.
+    """
     who = instance if instance.startswith(name) else f"{name}/{instance}"
     formatter = logging.Formatter(
         f"%(asctime)s.%(msecs)03dZ %(levelname)-7s {who} %(name)s: %(message)s",
@@ -26,7 +32,7 @@ def set_up_logging(name: str, instance: str) -> None:
     formatter.converter = time.gmtime
     handler = logging.StreamHandler()
     handler.setFormatter(formatter)
-    level = os.environ.get("COVINZ_LOG", "INFO").upper()
+    level = (level or os.environ.get("COVINZ_LOG", "INFO")).upper()
     known = logging.getLevelNamesMapping()
     logging.basicConfig(level=known.get(level, logging.INFO), handlers=[handler], force=True)
     if level not in known:

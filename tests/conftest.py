@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -56,24 +56,37 @@ def config_file(tmp_path: Path, bus_config: BusConfig) -> Path:
 
 
 @pytest.fixture
-def start_service(tmp_path: Path, config_file: Path) -> Iterator[StartProcess]:
-    """Start ``python -m services.<name>``: ``start_service(name, instance=name)``.
+def start_program(tmp_path: Path) -> Iterator[StartProcess]:
+    """Start a program from the checkout: ``start_program(name, command)``.
 
-    Files are in ``tmp_path/data``, logs in ``tmp_path/<instance>.log``. At the end of the test what
-    still runs is told to stop, and killed if it does not.
+    Its standard error is appended to ``tmp_path/<name>.log``. At the end of the test what still
+    runs is told to stop, and killed if it does not.
     """
     with ExitStack() as stack:
 
-        def start(name: str, instance: str | None = None) -> subprocess.Popen[str]:
-            instance = instance or name
-            log = stack.enter_context((tmp_path / f"{instance}.log").open("a"))
-            command = [sys.executable, "-m", f"services.{name}", "--config", str(config_file)]
-            command += ["--data", str(tmp_path / "data"), "--id", instance]
-            process = subprocess.Popen(command, cwd=CHECKOUT, stderr=log, text=True)
+        def start(name: str, command: Sequence[str]) -> subprocess.Popen[str]:
+            with (tmp_path / f"{name}.log").open("a") as log:
+                process = subprocess.Popen(command, cwd=CHECKOUT, stderr=log, text=True)
             stack.callback(end, process)
             return process
 
         yield start
+
+
+@pytest.fixture
+def start_service(tmp_path: Path, config_file: Path, start_program: StartProcess) -> StartProcess:
+    """Start ``python -m services.<name>``: ``start_service(name, instance=name)``.
+
+    Its files are in ``tmp_path/data``, its log is ``tmp_path/<instance>.log``.
+    """
+
+    def start(name: str, instance: str | None = None) -> subprocess.Popen[str]:
+        instance = instance or name
+        command = [sys.executable, "-m", f"services.{name}", "--config", str(config_file)]
+        command += ["--data", str(tmp_path / "data"), "--id", instance]
+        return start_program(instance, command)
+
+    return start
 
 
 def end(process: subprocess.Popen[str]) -> None:

@@ -95,11 +95,10 @@ class Bus(Protocol):
     def watch_alive(self, key: str, callback: Callable[[str, bool], None]) -> Closable:
         """Call `callback(key, alive)` for tokens that are there, appear and vanish.
 
-        All tokens vanish when the router does and appear again when it is back.
+        All tokens vanish when the router does and appear again when it is back. There is no list
+        of the tokens that exist now: Zenoh's came back empty one time in two hundred just after
+        a session was opened (measured with 1.10.2).
         """
-
-    def alive(self, key: str) -> list[str]:
-        """Keys of the tokens that exist now, sorted."""
 
     def interrupt(self) -> None:
         """End every `ask`, now and later, with BusClosed; everything else goes on."""

@@ -22,6 +22,8 @@ logger = logging.getLogger(__name__)
 # Pauses between attempts to reach a router that is not there grow from ... to ... [s]
 _MIN_RETRY_S = 0.1
 _MAX_RETRY_S = 1.0
+# `close` waits so long for an attempt under way, which then closes what it opens. [s]
+_CLOSE_S = 1.0
 
 
 class _ZenohQuery:
@@ -153,8 +155,12 @@ class ZenohBus:
     def ask(self, key: str, payload: bytes = b"", timeout_s: float | None = None) -> list[bytes]:
         """See `Bus.ask`."""
         check_size(payload, self._config.max_message_bytes)
-        timeout_s = self._config.query_timeout_s if timeout_s is None else timeout_s
+        self._raise_if_interrupted()
+        session = self._session
+        if session is None:
+            return []
         replies: list[bytes] = []
+        ended = threading.Event()
 
         def receive(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
@@ -162,20 +168,23 @@ class ZenohBus:
             elif reply.err is not None:
                 logger.debug("%s: %s", key, reply.err.payload.to_bytes())
 
-        self._wait_for_replies(
-            lambda session, handler: session.get(
+        try:
+            session.get(
                 key,
-                handler,
+                zenoh.handlers.Callback(_logged(receive), ended.set, indirect=False),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 payload=payload,
                 encoding=_encoding(payload),
-                timeout=timeout_s,
+                timeout=self._config.query_timeout_s if timeout_s is None else timeout_s,
                 cancellation_token=self._asking,
-            ),
-            receive,
-        )
+            )
+        except zenoh.ZError:
+            self._raise_if_interrupted()
+            raise
+        ended.wait()
+        self._raise_if_interrupted()
         return replies
 
     def answer(self, key: str, callback: Callable[[Query], None]) -> Closable:
@@ -221,25 +230,6 @@ class ZenohBus:
             ),
         )
 
-    def alive(self, key: str) -> list[str]:
-        """See `Bus.alive`."""
-        keys: set[str] = set()
-
-        def receive(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
-                keys.add(str(reply.ok.key_expr))
-
-        self._wait_for_replies(
-            lambda session, handler: session.liveliness().get(
-                key,
-                handler,
-                timeout=self._config.query_timeout_s,
-                cancellation_token=self._asking,
-            ),
-            receive,
-        )
-        return sorted(keys)
-
     def interrupt(self) -> None:
         """See `Bus.interrupt`."""
         self._interrupted.set()  # before the waits end, so that they know why
@@ -249,7 +239,7 @@ class ZenohBus:
         """See `Bus.close`."""
         self._closing.set()
         self.interrupt()
-        self._thread.join()
+        self._thread.join(_CLOSE_S)
         with self._lock:
             session, self._session = self._session, None
             self._declarations.clear()
@@ -268,14 +258,29 @@ class ZenohBus:
                 if pause_s < _MAX_RETRY_S <= 2 * pause_s:
                     logger.warning("no router at %s yet; trying on", self._config.endpoint)
                 pause_s = min(2 * pause_s, _MAX_RETRY_S)
-                continue
-            with self._lock:
-                self._session = session
-                waiting = list(self._declarations)
-            for declaration in waiting:
-                declaration.apply(session)
-            self._connected.set()
+            else:
+                self._attach(session)
+                return
+
+    def _attach(self, session: zenoh.Session) -> None:
+        """Make all that was declared so far; unless the bus was closed meanwhile."""
+        with self._lock:
+            is_late = self._closing.is_set()
+            self._session = None if is_late else session
+            waiting = list(self._declarations)
+        if is_late:
+            session.close()
             return
+        for declaration in waiting:
+            self._apply(declaration, session)
+        self._connected.set()
+
+    def _apply(self, declaration: _Declaration, session: zenoh.Session) -> None:
+        try:
+            declaration.apply(session)
+        except zenoh.ZError:
+            if not self._closing.is_set():  # otherwise it is closed with the session
+                raise
 
     def _add(self, key: str, declare: Callable[[zenoh.Session], Any]) -> Closable:
         if self._closing.is_set():
@@ -289,7 +294,7 @@ class ZenohBus:
             self._declarations.append(declaration)
             session = self._session
         if session is not None:
-            declaration.apply(session)
+            self._apply(declaration, session)
         return declaration
 
     def _remove(self, declaration: _Declaration) -> None:
@@ -297,27 +302,9 @@ class ZenohBus:
             if declaration in self._declarations:
                 self._declarations.remove(declaration)
 
-    def _wait_for_replies(
-        self,
-        send: Callable[[zenoh.Session, Any], None],
-        receive: Callable[[zenoh.Reply], None],
-    ) -> None:
-        """Send a question and wait for its end."""
+    def _raise_if_interrupted(self) -> None:
         if self._interrupted.is_set():
-            raise BusClosed("the bus is closed")
-        session = self._session
-        if session is None:
-            return
-        ended = threading.Event()
-        try:
-            send(session, zenoh.handlers.Callback(_logged(receive), ended.set, indirect=False))
-        except zenoh.ZError as error:
-            if self._interrupted.is_set():
-                raise BusClosed("the bus is closed") from error
-            raise
-        ended.wait()
-        if self._interrupted.is_set():
-            raise BusClosed("the bus was closed during the wait")
+            raise BusClosed("the bus was closed or interrupted")
 
 
 def _logged(callback: Callable[[Any], None]) -> Callable[[Any], None]:

@@ -180,13 +180,12 @@ def test_a_wait_ends_when_the_bus_does(open_bus: OpenBus, how: str) -> None:
     server.answer("covinz/never", held.put)
     wait_answered(asker, "covinz/never")
     outcome = ask_aside(asker, "covinz/never")
-    held.get(timeout=WAIT_S)
+    query = held.get(timeout=WAIT_S)
     asker.close() if how == "close" else asker.interrupt()
     assert isinstance(outcome.get(timeout=WAIT_S), BusClosed)
+    query.drop()
     with pytest.raises(BusClosed):
         asker.ask("covinz/never")
-    with pytest.raises(BusClosed):
-        asker.alive("covinz/**")
 
 
 def test_an_interrupted_bus_still_publishes_and_answers(open_bus: OpenBus) -> None:
@@ -245,7 +244,6 @@ def test_tokens_are_seen_to_be_there_to_appear_and_to_vanish(open_bus: OpenBus) 
     assert changes.get(timeout=WAIT_S) == ("covinz/agent/a/alive", True)
     holder.declare_alive("covinz/agent/b/alive")
     assert changes.get(timeout=WAIT_S) == ("covinz/agent/b/alive", True)
-    assert watcher.alive("covinz/**") == ["covinz/agent/a/alive", "covinz/agent/b/alive"]
     late: queue.Queue[tuple[str, bool]] = queue.Queue()
     watcher.watch_alive("covinz/agent/a/alive", lambda key, alive: late.put((key, alive)))
     assert late.get(timeout=WAIT_S) == ("covinz/agent/a/alive", True)
@@ -253,7 +251,6 @@ def test_tokens_are_seen_to_be_there_to_appear_and_to_vanish(open_bus: OpenBus) 
     assert changes.get(timeout=WAIT_S) == ("covinz/agent/a/alive", False)
     holder.close()
     assert changes.get(timeout=WAIT_S) == ("covinz/agent/b/alive", False)
-    assert watcher.alive("covinz/**") == []
 
 
 def test_a_sender_learns_when_somebody_answers_and_when_nobody_does(open_bus: OpenBus) -> None:
@@ -296,7 +293,7 @@ def test_without_a_router_the_bus_opens_loses_and_closes(bus_config: BusConfig) 
     bus = ZenohBus.open(bus_config, wait_s=0.0)
     token = bus.declare_alive("covinz/agent/a/alive")
     bus.put("covinz/view/x", b"lost")
-    assert bus.ask("covinz/echo") == [] and bus.alive("**") == []
+    assert bus.ask("covinz/echo") == []
     assert not bus.wait_connected(0.0)
     token.close()
     bus.close()
