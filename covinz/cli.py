@@ -15,6 +15,7 @@ import numpy as np
 import typer
 import yaml
 from numpy.typing import NDArray
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -97,12 +98,15 @@ def status(endpoint: Endpoint = DEFAULT_ENDPOINT) -> None:
         if not found:
             raise client.ServerUnavailable(f"no covinz process answers at {endpoint}")
         now = client.progress(bus)
-    table = Table("service", "instance", "cursor", "pending", "leased", "dirty", "counters")
+    table = Table("process", "cursor", "pending", "leased", "dirty", box=box.SIMPLE_HEAD)
+    for item in found:
+        numbers = (str(item.cursor), str(item.pending), str(item.leased))
+        table.add_row(item.instance, *numbers, "yes" if item.dirty else "")
+    console.print(table)
     for item in found:
         counters = "  ".join(f"{name}={value:g}" for name, value in sorted(item.counters.items()))
-        numbers = (str(item.cursor), str(item.pending), str(item.leased))
-        table.add_row(item.service, item.instance, *numbers, "yes" if item.dirty else "", counters)
-    console.print(table)
+        if counters:
+            console.print(f"[bold]{item.instance}[/]  {counters}", highlight=False)
     console.print("idle" if now.idle else f"at work: {now}", highlight=False)
 
 

@@ -179,8 +179,8 @@ def _play(scenario_file: Path, endpoint: str, options: RunOptions, folder: Path)
         raise
     if code != 0:
         raise RunFailed(f"playing the agents ended with code {code}")
-    values: dict[str, Any] = json.loads(summary.read_text())
-    return values
+    agents: dict[str, Any] = json.loads(summary.read_text())["agents"]
+    return agents
 
 
 def _wait_until_idle(bus: Bus, console: Console) -> None:
