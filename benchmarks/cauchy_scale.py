@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from covinz import frames
+from covinz.config import OptimizerConfig
 
 Array = NDArray[np.float64]
 
-_SCALES = (0.5, 1.0, 2.0, 3.0, 5.0)
+_SCALES = (0.5, 1.0, 2.0, 2.5, 3.0, 5.0)
 _WRONG_SHARES = (0.0, 0.3, 0.5)
 _SEEDS = (0, 1)
 _AGENTS = 4
@@ -33,8 +34,6 @@ _LOOPS = 120
 # Odometry edges to so many predecessors [paper III-C], whose spans add up to _SPANS.
 _NEIGHBOURS = 4
 _SPANS = 10
-# The optimizer starts with a loss so many times wider.
-_START_FACTOR = 10.0
 # Wrong loops are off by so much per axis.
 _WRONG = (0.3, 1.0)
 
@@ -133,7 +132,7 @@ def map_error_m(fleet: Fleet, scale: float) -> float:
     poses = fleet.start
     fixed = np.zeros(len(poses), dtype=bool)
     fixed[0] = True
-    for factor in (_START_FACTOR, 1.0):
+    for factor in (OptimizerConfig().cauchy_start_factor, 1.0):
         result = core.optimize_pose_graph(
             poses,
             fixed,
