@@ -1,7 +1,7 @@
 """Train the vocabulary that ships with the repository: `make vocabulary`.
 
 ORB features, extracted as the agents extract them, of recorded images whose licence allows it
-and of generated textures; no image of the benchmark scenes. Writes `orb_10k.bin` and beside it
+and of generated textures; no image of the benchmark scenes (but see README.md: chosen on). Writes `orb_10k.bin` and beside it
 `provenance.json`, which says from what and how.
 """
 

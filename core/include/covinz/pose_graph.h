@@ -37,8 +37,8 @@ struct PoseGraph {
 struct PoseGraphOptions {
   // Scale a of the Cauchy loss rho(s) = a^2 log(1 + s / a^2) on the loop edges' chi^2. A true
   // loop's chi^2 is 6 on average, so a = 1 gives it a seventh of its weight.
-  // [benchmarks/cauchy_scale.py: 2.5 stays within 4 % of the best scale with 0 to 50 % of wrong
-  // loops, 1 within 30 %, 0.5 within 74 %; the paper names none, its public code uses 0.5]
+  // [benchmarks/cauchy_scale.py, two seeds: 2.5 stays within 4 % of the best scale with 0 to 50 %
+  // of wrong loops, 1 within 30 %, 0.5 within 74 %; the paper names none, its public code uses 0.5]
   double cauchy_scale = 2.5;
   // [the public code stops at 10, which large loops exceed]
   int max_num_iterations = 100;
