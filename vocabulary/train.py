@@ -1,8 +1,8 @@
 """Train the vocabulary that ships with the repository: `make vocabulary`.
 
 ORB features, extracted as the agents extract them, of recorded images whose licence allows it
-and of generated textures; no image of the benchmark scenes (but see README.md: chosen on). Writes `orb_10k.bin` and beside it
-`provenance.json`, which says from what and how.
+and of generated textures; no image of the benchmark scenes. (README.md says what was chosen by
+their recall.) Writes `orb_10k.bin` and beside it `provenance.json`: from what and how.
 """
 
 from __future__ import annotations
