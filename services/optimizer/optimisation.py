@@ -94,7 +94,7 @@ def optimise(component: Component, config: OptimizerConfig) -> MapEstimate:
         T_map_body = by_segment[graph.segment] @ graph.T_odom_body
     iterations = 0
     for factor in sorted({config.cauchy_start_factor, 1.0}, reverse=True):
-        result = _minimised(graph, T_map_body, factor * config.cauchy_scale, config.max_iterations)
+        result = minimised(graph, T_map_body, factor * config.cauchy_scale, config.max_iterations)
         T_map_body = np.asarray(result.T_map_body)
         iterations += result.num_iterations
     return _estimate(component, graph, T_map_body, iterations, result.converged)
@@ -120,11 +120,12 @@ def find_fault(
     return Fault(component.loops[fails - 1].job_id, reason)
 
 
-def _minimised(
+def minimised(
     graph: PoseGraph, T_map_body: Array, cauchy_scale: float, max_iterations: int
 ) -> covinz_core.PoseGraphResult:
+    """Minimise equation (1) from a start (N, 4, 4), with its node 0 as the gauge."""
     fixed = np.zeros(len(T_map_body), dtype=bool)
-    fixed[0] = True  # the oldest keyframe: nodes are in log order
+    fixed[0] = True
     return covinz_core.optimize_pose_graph(
         T_map_body,
         fixed,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from covinz import codec
+from covinz.frames import Array
 from covinz.types import Gap, LoopClosure, Rejected
 from services.optimizer.admission import Code, admit
 from tests.fleets import closure, keyframe
@@ -28,7 +29,7 @@ def far() -> LoopClosure:
     return closure(A, B, T)
 
 
-def with_covariance(matrix: object) -> LoopClosure:
+def with_covariance(matrix: Array) -> LoopClosure:
     return dataclasses.replace(closure(A, B), covariance=matrix)
 
 

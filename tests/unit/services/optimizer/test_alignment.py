@@ -1,5 +1,7 @@
 """The start of the optimisation: segments placed by their loops, wrong ones outvoted."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from covinz.frames import inverse, rotation_angle
 from services.optimizer.alignment import MAX_HYPOTHESES, align_segments
 from services.optimizer.components import Component
 from services.optimizer.pose_graph import noise_of
-from tests.fleets import closure, components_of, make_fleet, only_component
+from tests.fleets import Fleet, closure, components_of, make_fleet, only_component
 
 NOISE = noise_of(OptimizerConfig())
 STILL = OdometryNoise(
@@ -19,7 +21,7 @@ STILL = OdometryNoise(
 )
 
 
-def errors(fleet, component):
+def errors(fleet: Fleet, component: Component) -> list[tuple[float, float]]:
     """Metres and radians by which each segment's odom frame is off, from its first keyframe."""
     T_map_odom = align_segments(component, NOISE)
     names = [kf.id for kf in fleet.keyframes]
@@ -31,21 +33,21 @@ def errors(fleet, component):
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("wrong_share", [0.0, 0.4])
-def test_segments_land_where_their_loops_put_them(seed, wrong_share):
+def test_segments_land_where_their_loops_put_them(seed: int, wrong_share: float) -> None:
     fleet = make_fleet(seed, num_agents=3, wrong_share=wrong_share, noise=STILL)
     for metres, radians in errors(fleet, only_component(fleet)):
         assert metres < 0.4
         assert radians < 0.06
 
 
-def test_the_oldest_segment_is_the_frame():
+def test_the_oldest_segment_is_the_frame() -> None:
     component = only_component(make_fleet())
     np.testing.assert_array_equal(
         align_segments(component, NOISE)[component.segments[0].id], np.eye(4)
     )
 
 
-def test_swapping_query_and_candidate_changes_nothing():
+def test_swapping_query_and_candidate_changes_nothing() -> None:
     fleet = make_fleet(num_agents=3, wrong_share=0.2)
     component = only_component(fleet)
     swapped = tuple(
@@ -59,7 +61,7 @@ def test_swapping_query_and_candidate_changes_nothing():
         np.testing.assert_allclose(T, b[name], atol=1e-9)
 
 
-def test_segments_are_placed_along_the_strongest_support():
+def test_segments_are_placed_along_the_strongest_support() -> None:
     # 0 - 2 has four loops, 2 - 1 has four, 0 - 1 has a single, wrong one.
     fleet = make_fleet(num_agents=3, loops_per_pair=4, noise=STILL)
     agents = [{loop.query.agent, loop.cand.agent} for loop in fleet.loops]
@@ -75,14 +77,14 @@ def test_segments_are_placed_along_the_strongest_support():
     assert max(metres for metres, _ in errors(fleet, component)) < 0.4
 
 
-def test_more_loops_than_hypotheses():
+def test_more_loops_than_hypotheses() -> None:
     fleet = make_fleet(loops_per_pair=3 * MAX_HYPOTHESES, wrong_share=0.3, noise=STILL)
     for metres, radians in errors(fleet, only_component(fleet)):
         assert metres < 0.2
         assert radians < 0.05
 
 
-def test_segments_without_a_loop_between_them_are_refused():
+def test_segments_without_a_loop_between_them_are_refused() -> None:
     component = only_component(make_fleet())
     within = tuple(loop for loop in component.loops if loop.query.segment == loop.cand.segment)
     with pytest.raises(ValueError, match="no loops to agent1/"):

@@ -1,12 +1,15 @@
 """Maps are the connected components of segments over loops."""
 
+from __future__ import annotations
+
 import itertools
 
+from covinz.types import LoopClosure
 from services.optimizer.components import segment_groups
 from tests.fleets import closure, keyframe
 
 
-def test_groups_do_not_depend_on_the_order_of_loops():
+def test_groups_do_not_depend_on_the_order_of_loops() -> None:
     kf = [keyframe(f"agent{n}", n, 0).id for n in range(5)]
     first = {kf[n].segment: 10 - n for n in range(5)}
     loops = [closure(kf[0], kf[1]), closure(kf[3], kf[1]), closure(kf[4], kf[4])]
@@ -19,11 +22,11 @@ def test_groups_do_not_depend_on_the_order_of_loops():
         assert segment_groups(first, order) == expected
 
 
-def test_loops_within_a_segment_join_nothing():
+def test_loops_within_a_segment_join_nothing() -> None:
     a, b = keyframe("a", 0, 0).id, keyframe("a", 0, 9).id
     loop = closure(b, a)
     assert segment_groups({a.segment: 0}, [loop]) == [((a.segment,), (loop,))]
 
 
-def job_id(loop):
+def job_id(loop: LoopClosure) -> str:
     return loop.job_id

@@ -1,5 +1,7 @@
 """Maps from generated fleets against the truth; the same map whatever the order."""
 
+from __future__ import annotations
+
 import dataclasses
 import random
 
@@ -7,10 +9,13 @@ import numpy as np
 import pytest
 
 from covinz.config import OptimizerConfig
+from covinz.frames import Array
+from covinz.types import LoopClosure
 from services.optimizer.components import Component
-from services.optimizer.optimisation import find_fault, optimise
+from services.optimizer.optimisation import MapEstimate, find_fault, optimise
 from services.optimizer.worker import run_job
 from tests.fleets import (
+    Fleet,
     aligned_rmse,
     closure,
     components_of,
@@ -24,17 +29,17 @@ from tests.fleets import (
 CONFIG = OptimizerConfig()
 
 
-def truth(fleet):
+def truth(fleet: Fleet) -> Array:
     return np.array([fleet.T_world_body[kf.id] for kf in fleet.keyframes])
 
 
-def error_m(fleet):
+def error_m(fleet: Fleet) -> float:
     estimate = optimise(only_component(fleet), CONFIG)
     assert len(estimate.T_map_body) == len(fleet.keyframes)
     return aligned_rmse(estimate.T_map_body, truth(fleet))
 
 
-def odometry_error_m(fleet):
+def odometry_error_m(fleet: Fleet) -> float:
     """Each agent's odometry aligned on its own: what it has without a server."""
     T_world = truth(fleet)
     agents = np.array([kf.id.agent for kf in fleet.keyframes])
@@ -44,20 +49,20 @@ def odometry_error_m(fleet):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("num_agents", [2, 3])
-def test_segments_merge_into_one_map_better_than_their_odometry(seed, num_agents):
+def test_segments_merge_into_one_map_better_than_their_odometry(seed: int, num_agents: int) -> None:
     fleet = make_fleet(seed, num_agents=num_agents)
     assert error_m(fleet) < 0.12 < odometry_error_m(fleet)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_fifth_of_wrong_loops_does_little_harm(seed):
+def test_a_fifth_of_wrong_loops_does_little_harm(seed: int) -> None:
     clean = make_fleet(seed, num_agents=3)
     spoiled = make_fleet(seed, num_agents=3, wrong_share=0.2)
     assert len(spoiled.wrong) == 18
     assert error_m(spoiled) < 1.5 * error_m(clean)
 
 
-def test_the_gauge_is_the_odometry_of_the_oldest_keyframe():
+def test_the_gauge_is_the_odometry_of_the_oldest_keyframe() -> None:
     fleet = make_fleet(seed=4)
     frames = {
         agent: perturb(np.random.default_rng(n), np.eye(4), np.ones(6))
@@ -76,7 +81,7 @@ def test_the_gauge_is_the_odometry_of_the_oldest_keyframe():
     np.testing.assert_allclose(T_b_a @ a.T_map_body, b.T_map_body, atol=1e-3)
 
 
-def test_without_loops_odometry_is_the_map():
+def test_without_loops_odometry_is_the_map() -> None:
     fleet = make_fleet(num_agents=1, loops_per_pair=0)
     estimate = optimise(only_component(fleet), CONFIG)
     np.testing.assert_array_equal(estimate.T_map_body, [kf.T_odom_body for kf in fleet.keyframes])
@@ -85,7 +90,7 @@ def test_without_loops_odometry_is_the_map():
     assert placement.keyframe.seq == 59
 
 
-def test_the_placement_is_exact_at_the_newest_keyframe():
+def test_the_placement_is_exact_at_the_newest_keyframe() -> None:
     fleet = make_fleet(num_agents=2)
     estimate = optimise(only_component(fleet), CONFIG)
     for placement in estimate.placements.values():
@@ -98,18 +103,20 @@ def test_the_placement_is_exact_at_the_newest_keyframe():
         )
 
 
-def test_shuffled_loops_and_arrival_give_the_same_bits():
+def test_shuffled_loops_and_arrival_give_the_same_bits() -> None:
     fleet = make_fleet(num_agents=3, length=30, wrong_share=0.2)
     log = list(enumerate(fleet.keyframes))
-    reference = optimise(*components_of(log, fleet.loops), CONFIG)
+    (component,) = components_of(log, fleet.loops)
+    reference = optimise(component, CONFIG)
     for seed in range(4):
         shuffled = random.Random(seed).sample(fleet.loops, len(fleet.loops))
-        again = optimise(*components_of(log, shuffled), CONFIG)
+        (component,) = components_of(log, shuffled)
+        again = optimise(component, CONFIG)
         assert again.map_id == reference.map_id
         assert again.T_map_body.tobytes() == reference.T_map_body.tobytes()
 
 
-def overflowing(fleet):
+def overflowing(fleet: Fleet) -> LoopClosure:
     """A loop whose squared error is no finite number, so that the core refuses the graph."""
     T = np.eye(4)
     T[0, 3] = 1e200
@@ -117,7 +124,7 @@ def overflowing(fleet):
     return closure(query, cand, T, "7" * 32)
 
 
-def test_the_loop_that_makes_optimisation_fail_is_found():
+def test_the_loop_that_makes_optimisation_fail_is_found() -> None:
     fleet = make_fleet(num_agents=2, length=20)
     bad = overflowing(fleet)
     (component,) = components_of(enumerate(fleet.keyframes), [*fleet.loops, bad])
@@ -128,7 +135,7 @@ def test_the_loop_that_makes_optimisation_fail_is_found():
     assert fault.reason
 
 
-def test_a_bad_loop_of_one_map_does_not_keep_others_from_theirs():
+def test_a_bad_loop_of_one_map_does_not_keep_others_from_theirs() -> None:
     fleet = make_fleet(num_agents=3, length=20)
     inside = [loop for loop in fleet.loops if loop.query.agent == loop.cand.agent]
     bad = closure(
@@ -143,8 +150,8 @@ def test_a_bad_loop_of_one_map_does_not_keep_others_from_theirs():
     assert [estimate.map_id for estimate in done.estimates] == [session(1), session(2)]
 
 
-def test_any_other_error_is_not_blamed_on_a_loop():
-    def defect(component, config):
+def test_any_other_error_is_not_blamed_on_a_loop() -> None:
+    def defect(component: Component, config: OptimizerConfig) -> MapEstimate:
         raise TypeError("a defect")
 
     component = only_component(make_fleet(length=10))

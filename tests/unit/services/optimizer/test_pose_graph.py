@@ -1,19 +1,23 @@
 """The graph of equation (1): which edges, in which order, with which weight."""
 
+from __future__ import annotations
+
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from covinz.config import OdometryNoise, OptimizerConfig
 from covinz.frames import inverse
-from services.optimizer.pose_graph import build_graph, keyframe_ids
+from covinz.types import Keyframe
+from services.optimizer.pose_graph import PoseGraph, build_graph, keyframe_ids
 from tests.fleets import components_of, keyframe, make_fleet, only_component, perturb
 
 CONFIG = OptimizerConfig()
 
 
-def edges_by_seq(graph):
+def edges_by_seq(graph: PoseGraph) -> list[tuple[int, int]]:
     return [
         (int(graph.seq[i]), int(graph.seq[j]))
         for i, j, is_loop in zip(graph.edge_from, graph.edge_to, graph.is_loop, strict=True)
@@ -21,13 +25,13 @@ def edges_by_seq(graph):
     ]
 
 
-def chain(seqs):
+def chain(seqs: Sequence[int]) -> list[tuple[int, Keyframe]]:
     rng = np.random.default_rng(0)
     pose = {seq: perturb(rng, np.eye(4), np.ones(6)) for seq in sorted(seqs)}
     return [(index, keyframe("a", 0, seq, pose[seq])) for index, seq in enumerate(seqs)]
 
 
-def test_edges_lead_from_the_four_nearest_predecessors_there_are():
+def test_edges_lead_from_the_four_nearest_predecessors_there_are() -> None:
     (component,) = components_of(chain([0, 1, 2, 7, 8, 20]), [])
     assert edges_by_seq(build_graph(component, CONFIG)) == [
         (0, 1),
@@ -38,8 +42,8 @@ def test_edges_lead_from_the_four_nearest_predecessors_there_are():
     ]  # fmt: skip
 
 
-def test_edges_do_not_depend_on_the_order_of_arrival():
-    def measured(seqs):
+def test_edges_do_not_depend_on_the_order_of_arrival() -> None:
+    def measured(seqs: Sequence[int]) -> dict[tuple[int, int], tuple[bytes, bytes]]:
         (component,) = components_of(chain(seqs), [])
         graph = build_graph(component, CONFIG)
         names = keyframe_ids(graph, component)
@@ -53,7 +57,7 @@ def test_edges_do_not_depend_on_the_order_of_arrival():
     assert measured([5, 0, 3, 1, 9, 4, 2]) == measured([0, 1, 2, 3, 4, 5, 9])
 
 
-def test_nodes_are_in_log_order_across_segments():
+def test_nodes_are_in_log_order_across_segments() -> None:
     fleet = make_fleet(num_agents=3, length=4, loops_per_pair=2)
     component = only_component(fleet)
     graph = build_graph(component, CONFIG)
@@ -62,7 +66,7 @@ def test_nodes_are_in_log_order_across_segments():
     np.testing.assert_array_equal(graph.T_odom_body, [kf.T_odom_body for kf in fleet.keyframes])
 
 
-def test_odometry_edges_measure_the_odometry_and_stay_within_a_segment():
+def test_odometry_edges_measure_the_odometry_and_stay_within_a_segment() -> None:
     component = only_component(make_fleet(length=8, loops_per_pair=3))
     graph = build_graph(component, CONFIG)
     odometry = ~graph.is_loop
@@ -74,7 +78,7 @@ def test_odometry_edges_measure_the_odometry_and_stay_within_a_segment():
     )
 
 
-def test_loop_edges_lead_from_candidate_to_query_with_the_inverse_covariance():
+def test_loop_edges_lead_from_candidate_to_query_with_the_inverse_covariance() -> None:
     fleet = make_fleet(length=8, loops_per_pair=3)
     component = only_component(fleet)
     graph = build_graph(component, CONFIG)
@@ -88,14 +92,14 @@ def test_loop_edges_lead_from_candidate_to_query_with_the_inverse_covariance():
         np.testing.assert_allclose(graph.information[row] @ loop.covariance, np.eye(6), atol=1e-9)
 
 
-def test_a_robot_that_stands_still_gets_the_floor():
+def test_a_robot_that_stands_still_gets_the_floor() -> None:
     noise = OdometryNoise(min_rotation=0.01, min_translation=0.1)
     (component,) = components_of([(k, keyframe("a", 0, k)) for k in range(2)], [])
     graph = build_graph(component, CONFIG.model_copy(update={"odometry": noise}))
     np.testing.assert_allclose(graph.information[0], np.diag([1e4] * 3 + [1e2] * 3))
 
 
-def test_each_agent_has_its_own_accuracy():
+def test_each_agent_has_its_own_accuracy() -> None:
     fleet = make_fleet(num_agents=2, length=6)
     config = OptimizerConfig(odometry_of={"agent1": OdometryNoise(translation_per_sqrt_m=1.0)})
     graph = build_graph(only_component(fleet), config)
@@ -105,7 +109,7 @@ def test_each_agent_has_its_own_accuracy():
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e12])
-def test_information_is_positive_definite_for_any_covariance_of_an_agent(scale):
+def test_information_is_positive_definite_for_any_covariance_of_an_agent(scale: float) -> None:
     keyframes = [
         (index, dataclasses.replace(kf, covariance=scale * np.ones((6, 6))))
         for index, kf in chain(range(8))
