@@ -65,12 +65,20 @@ void BindStageOptions(nb::module_& m) {
       .def_rw("confidence", &RigRelativePoseOptions::confidence)
       .def_rw("max_num_iterations", &RigRelativePoseOptions::max_num_iterations)
       .def("check", &RigRelativePoseOptions::Check);
+  nb::class_<RigScaleOptions>(m, "RigScaleOptions", "Options of the test whether scale shows.")
+      .def(nb::init<>())
+      .def_rw("max_common_centre_ratio", &RigScaleOptions::max_common_centre_ratio)
+      .def_rw("max_error_px", &RigScaleOptions::max_error_px)
+      .def_rw("max_num_iterations", &RigScaleOptions::max_num_iterations)
+      .def("check", &RigScaleOptions::Check);
   nb::class_<RigCovarianceOptions>(m, "RigCovarianceOptions", "Options of the sampled covariance.")
       .def(nb::init<>())
       .def_rw("num_samples", &RigCovarianceOptions::num_samples)
       .def_rw("max_num_tries", &RigCovarianceOptions::max_num_tries)
       .def_rw("min_inlier_ratio", &RigCovarianceOptions::min_inlier_ratio)
       .def_rw("max_error_px", &RigCovarianceOptions::max_error_px)
+      .def_rw("min_sigma_rotation_rad", &RigCovarianceOptions::min_sigma_rotation_rad)
+      .def_rw("min_sigma_translation_m", &RigCovarianceOptions::min_sigma_translation_m)
       .def("check", &RigCovarianceOptions::Check);
 }
 
@@ -82,6 +90,7 @@ void BindLoopOptions(nb::module_& m) {
       .def_rw("matching", &LoopOptions::matching)
       .def_rw("pair", &LoopOptions::pair)
       .def_rw("rig", &LoopOptions::rig)
+      .def_rw("scale", &LoopOptions::scale)
       .def_rw("covariance", &LoopOptions::covariance)
       .def_rw("min_num_matches", &LoopOptions::min_num_matches)
       .def_rw("min_num_pair_inliers", &LoopOptions::min_num_pair_inliers)
@@ -132,7 +141,8 @@ void BindLoopResult(nb::module_& m) {
       .def_ro("num_iterations", &LoopEstimate::num_iterations, "Of the 17-point RANSAC.");
   nb::class_<LoopRejection>(m, "LoopRejection", "Why there is no loop.")
       .def_ro("stage", &LoopRejection::stage,
-              "degenerate, matches, pair_inliers, rig_inliers, covariance, translation, rotation.")
+              "degenerate, matches, pair_inliers, rig_inliers, scale, covariance, uncertainty,\n"
+              "translation or rotation; core/include/covinz/solve_loop.h says what is counted.")
       .def_ro("pair", &LoopRejection::pair, "Camera pair, query outermost, where one failed.")
       .def_ro("count", &LoopRejection::count)
       .def_ro("threshold", &LoopRejection::threshold)

@@ -24,6 +24,17 @@ int CountSampsonInliers(const Eigen::Matrix3d& E, const BearingPairs& pairs, dou
   return count;
 }
 
+// Stewenius' solver as in the public code: OpenGV's Nister solver misses the true root of every
+// 25th noise-free sample.
+std::vector<Eigen::Matrix3d> SolveFivePoint(
+    const opengv::relative_pose::CentralRelativeAdapter& adapter, const std::vector<int>& sample) {
+  std::vector<Eigen::Matrix3d> essentials;
+  for (const Eigen::Matrix3cd& E : opengv::relative_pose::fivept_stewenius(adapter, sample)) {
+    if (E.allFinite() && E.imag().norm() < 1e-6 * E.norm()) essentials.emplace_back(E.real());
+  }
+  return essentials;
+}
+
 // The four poses of an essential matrix. Source: Hartley, Zisserman, Multiple View Geometry, 9.6.2.
 std::array<Eigen::Isometry3d, 4> Decompose(const Eigen::Matrix3d& E) {
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(E, Eigen::ComputeFullU | Eigen::ComputeFullV);
@@ -99,7 +110,7 @@ std::optional<RelativePose> EstimateRelativePose(const BearingPairs& pairs,
     ++best.num_iterations;
     std::vector<int> sample;
     random.DrawDistinct(0, num_pairs, kSampleSize, sample);
-    for (const Eigen::Matrix3d& E : opengv::relative_pose::fivept_nister(adapter, sample)) {
+    for (const Eigen::Matrix3d& E : SolveFivePoint(adapter, sample)) {
       // Cheap first: depths can only lower the count.
       const int upper_bound = CountSampsonInliers(E, pairs, options.max_error_px);
       if (upper_bound <= static_cast<int>(best.inliers.size())) continue;

@@ -156,6 +156,9 @@ void RigCovarianceOptions::Check() const {
   if (!(max_error_px > 0.0)) {
     throw std::invalid_argument("RigCovarianceOptions.max_error_px must be positive");
   }
+  if (!(min_sigma_rotation_rad > 0.0 && min_sigma_translation_m > 0.0)) {
+    throw std::invalid_argument("RigCovarianceOptions: least sigmas must be positive");
+  }
 }
 
 RigCovariance SampleRigCovariance(const RigPairs& rigs,
@@ -181,6 +184,10 @@ RigCovariance SampleRigCovariance(const RigPairs& rigs,
     ++result.num_samples;
   }
   if (result.num_samples > 0) result.covariance /= result.num_samples;
+  result.covariance.diagonal().head<3>().array() +=
+      options.min_sigma_rotation_rad * options.min_sigma_rotation_rad;
+  result.covariance.diagonal().tail<3>().array() +=
+      options.min_sigma_translation_m * options.min_sigma_translation_m;
   return result;
 }
 

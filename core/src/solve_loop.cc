@@ -13,7 +13,8 @@ namespace {
 // Streams of the seed; camera pair p uses kFirstPairStream + p.
 constexpr uint64_t kRigStream = 0;
 constexpr uint64_t kCovarianceStream = 1;
-constexpr uint64_t kFirstPairStream = 2;
+constexpr uint64_t kScaleStream = 2;
+constexpr uint64_t kFirstPairStream = 3;
 
 // What the stages have found so far.
 struct Progress {
@@ -98,7 +99,7 @@ std::optional<LoopRejection> FilterPairs(const LoopOptions& options, Progress& p
 std::optional<LoopRejection> CheckPlausible(const LoopEstimate& loop, const LoopOptions& options) {
   const double trace = loop.covariance.trace();
   if (!(trace <= options.max_covariance_trace)) {
-    return LoopRejection{"covariance", std::nullopt, trace, options.max_covariance_trace};
+    return LoopRejection{"uncertainty", std::nullopt, trace, options.max_covariance_trace};
   }
   const Vector6d xi = LogSE3(loop.T_cand_query);
   if (xi.tail<3>().norm() > options.max_translation_m) {
@@ -119,6 +120,11 @@ LoopResult EstimateLoop(const LoopOptions& options, const Progress& progress) {
     return LoopRejection{"rig_inliers", std::nullopt, static_cast<double>(num_inliers),
                          static_cast<double>(options.min_num_rig_inliers)};
   }
+  const double ratio = CommonCentreRatio(progress.rigs, *pose, options.scale,
+                                         DeriveSeed(options.seed, kScaleStream));
+  if (ratio > options.scale.max_common_centre_ratio) {
+    return LoopRejection{"scale", std::nullopt, ratio, options.scale.max_common_centre_ratio};
+  }
   const RigCovariance sampled = SampleRigCovariance(progress.rigs, *pose, options.covariance,
                                                     DeriveSeed(options.seed, kCovarianceStream));
   if (sampled.num_samples < options.covariance.num_samples) {
@@ -138,6 +144,11 @@ void RigCamera::Check() const {
     throw std::invalid_argument("RigCamera: " + std::to_string(bearings.rows()) + " bearings but " +
                                 std::to_string(descriptors.rows()) + " descriptors");
   }
+  for (Eigen::Index i = 0; i < bearings.rows(); ++i) {
+    if (bearings.row(i).allFinite() && std::abs(bearings.row(i).norm() - 1.0) > 1e-6) {
+      throw std::invalid_argument("RigCamera: bearings must be unit vectors or NaN");
+    }
+  }
   if (!(focal_px > 0.0 && std::isfinite(focal_px))) {
     throw std::invalid_argument("RigCamera.focal_px must be positive and finite");
   }
@@ -152,6 +163,7 @@ void LoopOptions::Check() const {
   matching.Check();
   pair.Check();
   rig.Check();
+  scale.Check();
   covariance.Check();
   if (min_num_matches < 0 || min_num_pair_inliers < 0 || min_num_rig_inliers < 0) {
     throw std::invalid_argument("LoopOptions: least numbers must not be negative");

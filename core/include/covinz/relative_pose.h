@@ -32,8 +32,8 @@ struct RelativePose {
 // both cameras. Same seed and input, same result. Returns nullopt when no pose explains even five
 // matches. Throws std::invalid_argument on malformed input.
 //
-// Source: COVINS-G, III-B2; Nister, "An efficient solution to the five-point relative pose
-// problem", PAMI 2004; minimal solver of OpenGV (Kneip, Furgale, ICRA 2014).
+// Source: COVINS-G, III-B2; Stewenius, Engels, Nister, "Recent developments on direct relative
+// orientation", ISPRS J. 2006; minimal solver of OpenGV (Kneip, Furgale, ICRA 2014).
 std::optional<RelativePose> EstimateRelativePose(const BearingPairs& pairs,
                                                  const RelativePoseOptions& options,
                                                  uint64_t seed);

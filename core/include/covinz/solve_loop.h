@@ -15,6 +15,7 @@
 #include "covinz/matching.h"
 #include "covinz/relative_pose.h"
 #include "covinz/rig_relative_pose.h"
+#include "covinz/rig_scale.h"
 #include "covinz/se3.h"
 
 namespace covinz {
@@ -39,6 +40,7 @@ struct LoopOptions {
   MatchingOptions matching;
   RelativePoseOptions pair;
   RigRelativePoseOptions rig;
+  RigScaleOptions scale;
   RigCovarianceOptions covariance;
   // Matches that every camera pair needs: no fewer can hold the inliers asked for next.
   int min_num_matches = 30;
@@ -78,7 +80,9 @@ struct LoopRejection {
   // "matches"       matches of a pair < min_num_matches
   // "pair_inliers"  five-point inliers of a pair < min_num_pair_inliers
   // "rig_inliers"   17-point inliers < min_num_rig_inliers
-  // "covariance"    samples < covariance.num_samples, or trace > max_covariance_trace
+  // "scale"         part of them that needs no baseline > scale.max_common_centre_ratio
+  // "covariance"    good samples < covariance.num_samples
+  // "uncertainty"   trace of the covariance > max_covariance_trace
   // "translation"   metres > max_translation_m
   // "rotation"      radians > max_rotation_rad
   std::string stage;

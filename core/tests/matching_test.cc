@@ -1,0 +1,106 @@
+// Matching: known nearest neighbours, ratio, mutual check, limits, too few descriptors, bad input.
+#include "covinz/matching.h"
+
+#include <random>
+
+#include <gtest/gtest.h>
+
+namespace covinz {
+namespace {
+
+Descriptors RandomDescriptors(int rows, int cols, uint64_t seed) {
+  std::mt19937_64 engine(seed);
+  return Descriptors::NullaryExpr(rows, cols, [&] { return static_cast<uint8_t>(engine()); });
+}
+
+// A descriptor of one byte value throughout: distances are easy to count.
+Descriptors Rows(const std::vector<int>& values) {
+  Descriptors descriptors(static_cast<Eigen::Index>(values.size()), 32);
+  for (size_t i = 0; i < values.size(); ++i) {
+    descriptors.row(static_cast<Eigen::Index>(i)).setConstant(static_cast<uint8_t>(values[i]));
+  }
+  return descriptors;
+}
+
+std::vector<std::pair<int, int>> AsPairs(const std::vector<Match>& matches) {
+  std::vector<std::pair<int, int>> pairs;
+  for (const Match& match : matches) pairs.emplace_back(match.query, match.cand);
+  return pairs;
+}
+
+using Expected = std::vector<std::pair<int, int>>;
+
+TEST(MatchDescriptors, FindsAPermutation) {
+  const Descriptors query = RandomDescriptors(200, 32, 1);
+  Descriptors cand = query.colwise().reverse();
+  for (Eigen::Index i = 0; i < cand.rows(); ++i) cand(i, i % 32) ^= 0x11;  // two bits of noise
+  for (const DescriptorNorm norm : {DescriptorNorm::kHamming, DescriptorNorm::kL2}) {
+    MatchingOptions options;
+    options.norm = norm;
+    const std::vector<Match> matches = MatchDescriptors(query, cand, options);
+    ASSERT_EQ(matches.size(), 200u);
+    for (int i = 0; i < 200; ++i) {
+      EXPECT_EQ(matches[static_cast<size_t>(i)].query, i);
+      EXPECT_EQ(matches[static_cast<size_t>(i)].cand, 199 - i);
+    }
+  }
+}
+
+TEST(MatchDescriptors, RatioOfBestToSecond) {
+  // From 0x00: 0x01 is 32 bits away, 0x03 is 64 bits; ratio 0.5.
+  MatchingOptions options;
+  options.max_ratio = 0.51;
+  EXPECT_EQ(AsPairs(MatchDescriptors(Rows({0x00}), Rows({0x03, 0x01}), options)),
+            (Expected{{0, 1}}));
+  options.max_ratio = 0.5;
+  EXPECT_TRUE(MatchDescriptors(Rows({0x00}), Rows({0x03, 0x01}), options).empty());
+}
+
+TEST(MatchDescriptors, MutualNearestOnly) {
+  // Both queries prefer 0x01; it prefers the second.
+  MatchingOptions options;
+  const Descriptors query = Rows({0x00, 0x01});
+  const Descriptors cand = Rows({0x01, 0xff});
+  EXPECT_EQ(AsPairs(MatchDescriptors(query, cand, options)), (Expected{{1, 0}}));
+  options.mutual = false;
+  EXPECT_EQ(AsPairs(MatchDescriptors(query, cand, options)), (Expected{{0, 0}, {1, 0}}));
+}
+
+TEST(MatchDescriptors, LargestDistance) {
+  MatchingOptions options;
+  options.max_distance = 31.0;
+  EXPECT_TRUE(MatchDescriptors(Rows({0x00}), Rows({0x01, 0xff}), options).empty());
+  options.max_distance = 32.0;
+  EXPECT_EQ(MatchDescriptors(Rows({0x00}), Rows({0x01, 0xff}), options).size(), 1u);
+}
+
+TEST(MatchDescriptors, FewerThanTwoDescriptors) {
+  const Descriptors many = RandomDescriptors(10, 32, 3);
+  const Descriptors one = many.topRows(1);
+  const Descriptors none(0, 32);
+  MatchingOptions options;
+  EXPECT_TRUE(MatchDescriptors(many, none, options).empty());
+  EXPECT_TRUE(MatchDescriptors(none, many, options).empty());
+  EXPECT_TRUE(MatchDescriptors(none, Descriptors(0, 0), options).empty());
+  EXPECT_TRUE(MatchDescriptors(many, one, options).empty());  // no second neighbour
+  EXPECT_EQ(MatchDescriptors(one, many, options).size(), 1u);
+  options.max_ratio = 1.0;
+  EXPECT_EQ(AsPairs(MatchDescriptors(many, one, options)), (Expected{{0, 0}}));
+}
+
+TEST(MatchDescriptors, RejectsMisuse) {
+  EXPECT_THROW(MatchDescriptors(RandomDescriptors(5, 32, 1), RandomDescriptors(5, 64, 1), {}),
+               std::invalid_argument);
+  MatchingOptions options;
+  options.max_ratio = 0.0;
+  EXPECT_THROW(options.Check(), std::invalid_argument);
+  options = {};
+  options.max_ratio = 1.1;
+  EXPECT_THROW(options.Check(), std::invalid_argument);
+  options = {};
+  options.max_distance = -1.0;
+  EXPECT_THROW(options.Check(), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace covinz
