@@ -72,8 +72,15 @@ core-sanitize: setup
 	cmake --build core/build/sanitize -j $(JOBS)
 	ctest --test-dir core/build/sanitize --output-on-failure -j $(JOBS)
 
+BENCHMARKS := scenarios loop_geometry place_recognition map_from_scratch
+
 bench: setup
-	@for script in benchmarks/*.py; do echo "$$script"; $(BIN)/python $$script || exit 1; done
+	@mkdir -p benchmarks/results
+	@for name in $(BENCHMARKS); do \
+	  echo "benchmarks/$$name.py"; \
+	  $(BIN)/python -m benchmarks.$$name --out benchmarks/results/$$name.json >/dev/null || exit 1; \
+	done
+	$(BIN)/python -m benchmarks.readme
 
 demo: setup
 	$(BIN)/covinz run scenarios/simulated.yaml
