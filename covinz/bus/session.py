@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import logging
+import queue
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -111,6 +113,8 @@ class ZenohBus:
         self._asking = zenoh.CancellationToken()
         self._thread = threading.Thread(target=self._connect, name="bus-connect", daemon=True)
         self._thread.start()
+        # Zenoh's threads must not call into an interpreter that is being taken down.
+        atexit.register(self.close)
 
     @classmethod
     def open(cls, config: BusConfig, wait_s: float = 1.0) -> ZenohBus:
@@ -150,7 +154,9 @@ class ZenohBus:
         def receive(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.payload.to_bytes())
 
-        return self._add(key, lambda session: session.declare_subscriber(key, _logged(receive)))
+        return self._add(
+            key, lambda session: session.declare_subscriber(key, _from_own_thread(receive))
+        )
 
     def ask(self, key: str, payload: bytes = b"", timeout_s: float | None = None) -> list[bytes]:
         """See `Bus.ask`."""
@@ -171,7 +177,7 @@ class ZenohBus:
         try:
             session.get(
                 key,
-                zenoh.handlers.Callback(_logged(receive), ended.set, indirect=False),
+                zenoh.handlers.Callback(receive, ended.set, indirect=False),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 congestion_control=zenoh.CongestionControl.BLOCK,
@@ -198,7 +204,9 @@ class ZenohBus:
                 query.drop()
                 raise
 
-        return self._add(key, lambda session: session.declare_queryable(key, _logged(receive)))
+        return self._add(
+            key, lambda session: session.declare_queryable(key, _from_own_thread(receive))
+        )
 
     def watch_answered(self, key: str, callback: Callable[[bool], None]) -> Closable:
         """See `Bus.watch_answered`."""
@@ -208,7 +216,7 @@ class ZenohBus:
 
         def declare(session: zenoh.Session) -> zenoh.Querier:
             querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL)
-            querier.declare_matching_listener(_logged(receive))
+            querier.declare_matching_listener(_from_own_thread(receive))
             return querier
 
         return self._add(key, declare)
@@ -226,7 +234,7 @@ class ZenohBus:
         return self._add(
             key,
             lambda session: session.liveliness().declare_subscriber(
-                key, _logged(receive), history=True
+                key, _from_own_thread(receive), history=True
             ),
         )
 
@@ -237,6 +245,7 @@ class ZenohBus:
 
     def close(self) -> None:
         """See `Bus.close`."""
+        atexit.unregister(self.close)
         self._closing.set()
         self.interrupt()
         self._thread.join(_CLOSE_S)
@@ -307,17 +316,22 @@ class ZenohBus:
             raise BusClosed("the bus was closed or interrupted")
 
 
-def _logged(callback: Callable[[Any], None]) -> Callable[[Any], None]:
-    """`callback` with its exceptions logged, for threads that nobody watches."""
+def _from_own_thread(callback: Callable[[Any], None]) -> Any:
+    """A handler that calls `callback` from a thread of its own, which ends with the declaration.
 
-    @functools.wraps(callback)
-    def guarded(argument: Any) -> None:
-        try:
-            callback(argument)
-        except Exception:
-            logger.exception("a bus callback failed")
+    Zenoh's own threads for callbacks keep a process that forgot to close its bus from ending.
+    """
+    arguments: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
-    return guarded
+    def call() -> None:
+        while (argument := arguments.get()) is not None:
+            try:
+                callback(argument)
+            except Exception:
+                logger.exception("a bus callback failed")
+
+    threading.Thread(target=call, name="bus-callback", daemon=True).start()
+    return zenoh.handlers.Callback(arguments.put, lambda: arguments.put(None), indirect=False)
 
 
 def _encoding(payload: bytes) -> zenoh.Encoding:

@@ -158,3 +158,23 @@ def test_the_router_tells_its_status_and_stops_when_told(
     router.send_signal(signal.SIGTERM)
     assert router.wait(WAIT_S) == 0
     assert "Traceback" not in (tmp_path / "router.log").read_text()
+
+
+NEVER_CLOSED = """
+import sys
+from covinz.bus import ZenohBus
+from covinz.config import BusConfig
+bus = ZenohBus.open(BusConfig(endpoint=sys.argv[1]))
+assert bus.wait_connected(20.0)
+bus.subscribe("covinz/view/x", lambda *_: None)
+bus.answer("covinz/echo", lambda query: query.reply(query.payload))
+bus.watch_alive("covinz/**", lambda *_: None)
+bus.declare_alive("covinz/agent/a/alive")
+assert bus.ask("covinz/echo", b"me") == [b"me"]
+"""
+
+
+@pytest.mark.usefixtures("router")
+def test_a_program_that_forgets_to_close_the_bus_ends_all_the_same(free_endpoint: str) -> None:
+    program = [sys.executable, "-c", NEVER_CLOSED, free_endpoint]
+    assert subprocess.run(program, timeout=2 * WAIT_S, check=False).returncode == 0

@@ -13,7 +13,16 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from covinz.bus import Bus, BusClosed, BusError, MessageTooLarge, Query, ZenohBus, open_router
+from covinz.bus import (
+    Bus,
+    BusClosed,
+    BusError,
+    Closable,
+    MessageTooLarge,
+    Query,
+    ZenohBus,
+    open_router,
+)
 from covinz.config import BusConfig
 from covinz.memory_bus import Hub, intersects
 
@@ -317,3 +326,28 @@ keys = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=6).
 def test_key_expressions_match_as_zenoh_says(a: str, b: str) -> None:
     expected = zenoh.KeyExpr.autocanonize(a).intersects(zenoh.KeyExpr.autocanonize(b))
     assert intersects(a, b) == intersects(b, a) == expected
+
+
+def test_threads_end_with_what_they_were_for(bus_config: BusConfig) -> None:
+    def callback_threads() -> list[threading.Thread]:
+        return [t for t in threading.enumerate() if t.name.startswith("bus-")]
+
+    assert callback_threads() == []
+    with closing(open_router(bus_config)), closing(ZenohBus.open(bus_config)) as bus:
+        declared: list[Closable] = [
+            bus.subscribe("covinz/a", lambda *_: None),
+            bus.answer("covinz/a", append(b"")),
+            bus.watch_alive("covinz/a", lambda *_: None),
+            bus.watch_answered("covinz/a", lambda _: None),
+        ]
+        threads = callback_threads()
+        assert len(threads) == len(declared)
+        for each in declared:
+            each.close()
+        for thread in threads:
+            thread.join(WAIT_S)
+        bus.subscribe("covinz/a", lambda *_: None)
+        threads = callback_threads()
+        assert len(threads) == 1
+    threads[0].join(WAIT_S)
+    assert callback_threads() == []
