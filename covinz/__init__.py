@@ -1,16 +1,26 @@
 """covinz: what two or more of its processes share, installable on a robot (pure Python).
 
-A robot needs one name of it: ``covinz.Agent``.
+A robot needs what is exported here: an ``Agent`` and the values that it sends.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from covinz.types import Camera, Correction, Features, FeatureType, KeyframeContent, KeyframeId
+
 if TYPE_CHECKING:
     from covinz.agent import Agent
 
-__all__ = ["Agent"]
+__all__ = [
+    "Agent",
+    "Camera",
+    "Correction",
+    "FeatureType",
+    "Features",
+    "KeyframeContent",
+    "KeyframeId",
+]
 
 
 def __getattr__(name: str) -> Any:
