@@ -159,6 +159,9 @@ class LoopSolverConfig(Section):
     max_covariance_trace: Positive = 10.0
     # Two cameras of one rig are further apart than this, or there is no scale. [m]
     min_baseline_m: Positive = 0.01
+    # Share of the inliers that cameras without baselines may explain, or scale does not show; 1 is
+    # off, as in the paper. [core/include/covinz/rig_scale.h]
+    max_common_centre_ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
     # Largest translation between the two keyframes; the paper has no limit. [m; public code: 2]
     max_translation_m: Positive | None = None
     # Largest rotation between them. [rad; public code: 50 degrees of yaw]

@@ -9,13 +9,18 @@ namespace covinz {
 
 SeventeenPointSolver::SeventeenPointSolver(const RigPairs& rigs,
                                            const std::vector<std::vector<int>>& subset)
-    : adapter_(cand_, query_, cand_cams_, query_cams_, offsets_, rotations_) {
+    : T_cand_cam0_(Eigen::Isometry3d::Identity()),
+      T_cam0_query_(Eigen::Isometry3d::Identity()),
+      adapter_(cand_, query_, cand_cams_, query_cams_, offsets_, rotations_) {
   for (const std::vector<Eigen::Isometry3d>* cams : {&rigs.T_cand_cam, &rigs.T_query_cam}) {
     for (const Eigen::Isometry3d& T_rig_cam : *cams) {
-      offsets_.push_back(T_rig_cam.translation());
-      rotations_.push_back(T_rig_cam.linear());
+      const Eigen::Isometry3d T_cam0_cam = cams->front().inverse() * T_rig_cam;
+      offsets_.push_back(T_cam0_cam.translation());
+      rotations_.push_back(T_cam0_cam.linear());
     }
   }
+  if (!rigs.T_cand_cam.empty()) T_cand_cam0_ = rigs.T_cand_cam.front();
+  if (!rigs.T_query_cam.empty()) T_cam0_query_ = rigs.T_query_cam.front().inverse();
   const int num_cand_cams = static_cast<int>(rigs.T_cand_cam.size());
   first_row_.push_back(0);
   for (size_t p = 0; p < rigs.pairs.size(); ++p) {
@@ -53,10 +58,10 @@ std::vector<int> SeventeenPointSolver::DrawSample(Random& random) const {
 }
 
 std::optional<Eigen::Isometry3d> SeventeenPointSolver::Solve(const std::vector<int>& sample) const {
-  Eigen::Isometry3d T_cand_query = Eigen::Isometry3d::Identity();
-  T_cand_query.matrix().topRows<3>() = opengv::relative_pose::seventeenpt(adapter_, sample);
-  if (!T_cand_query.matrix().allFinite()) return std::nullopt;
-  return T_cand_query;
+  Eigen::Isometry3d T_cand0_query0 = Eigen::Isometry3d::Identity();
+  T_cand0_query0.matrix().topRows<3>() = opengv::relative_pose::seventeenpt(adapter_, sample);
+  if (!T_cand0_query0.matrix().allFinite()) return std::nullopt;
+  return T_cand_cam0_ * T_cand0_query0 * T_cam0_query_;
 }
 
 }  // namespace covinz

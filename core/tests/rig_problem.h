@@ -39,6 +39,8 @@ struct RigProblemOptions {
   // Between neighbouring keyframes of a rig; 0 is a rig that only turns.
   double baseline_m = 0.2;
   double turn_rad = 0.1;
+  // Keyframes of a rig on one line, as a robot that drives straight.
+  bool straight = false;
   // Error of the odometry between them, per axis.
   double odometry_noise_m = 0.0;
   double odometry_noise_rad = 0.0;
@@ -59,10 +61,12 @@ struct RigProblem {
 inline std::vector<Eigen::Isometry3d> MakeRig(int num_cams,
                                               const RigProblemOptions& options,
                                               std::mt19937_64& engine) {
+  const Eigen::Vector3d heading = RandomNormal3(engine, 1.0).normalized();
   std::vector<Eigen::Isometry3d> T_rig_cam{Eigen::Isometry3d::Identity()};
   for (int i = 1; i < num_cams; ++i) {
     T_rig_cam.push_back(T_rig_cam.back() *
                         RandomPose(engine, options.turn_rad, options.baseline_m));
+    if (options.straight) T_rig_cam.back().translation() = i * options.baseline_m * heading;
   }
   return T_rig_cam;
 }

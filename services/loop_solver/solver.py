@@ -80,6 +80,7 @@ def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions
     options.min_num_pair_inliers = config.min_pair_inliers
     options.min_num_rig_inliers = config.min_rig_inliers
     options.min_baseline_m = config.min_baseline_m
+    options.scale.max_common_centre_ratio = config.max_common_centre_ratio
     if config.max_translation_m is not None:
         options.max_translation_m = config.max_translation_m
     if config.max_rotation_rad is not None:
