@@ -55,7 +55,7 @@ class IngestConfig(Section):
     max_features: PositiveInt = 8192
     # Keyframes committed and acked together (group commit).
     max_batch: PositiveInt = 64
-    # A page of the log ends at this size. [bytes; DESIGN 1]
+    # A page of the log ends at this size. [bytes; decision 0002]
     page_bytes: PositiveInt = 1024 * 1024
     # Uploads waiting for a commit; beyond it agents are told to retry.
     inbox: PositiveInt = 256
@@ -111,7 +111,7 @@ class PlaceRecognitionConfig(Section):
     consistent_queries: Count = 0
     # A lease ends after this long without an outcome. [s]
     lease_s: Positive = 60.0
-    # So many failed leases and the job goes to the dead-letter list. [DESIGN 1]
+    # So many failed leases and the job goes to the dead-letter list. [decision 0006]
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]
     long_poll_s: Positive = 5.0
@@ -124,7 +124,7 @@ class MatchingConfig(Section):
     max_ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
     # ORB: largest Hamming distance. [public code: img_match_thres 40 is stricter]
     max_hamming: PositiveInt = 64
-    # Keep a match only if it is the best in both directions. [DESIGN 5]
+    # Keep a match only if it is the best in both directions. [docs/paper.md]
     mutual: bool = True
 
 

@@ -44,7 +44,7 @@ class LogFollower:
             without gap or overlap. It may block: nothing is asked for meanwhile.
         recheck_s: How often to look without being woken.
 
-    Source: DESIGN 1, "log with cursors".
+    Source: docs/architecture.md, "log with cursors".
     """
 
     def __init__(

@@ -98,7 +98,7 @@ class ZenohBus:
     `open` does not depend on the router: it may come, go and return at any time. Until it is
     there publications are lost, nobody answers, and declarations wait to be made.
 
-    Source: decision 0002; the measurements behind it are in its text.
+    Source: decision 0007; the measurements behind it are in its text.
     """
 
     def __init__(self, config: BusConfig, settings: zenoh.Config) -> None:

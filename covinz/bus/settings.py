@@ -1,6 +1,6 @@
 """Zenoh's configuration, as covinz uses it.
 
-Source: decision 0002; measured with Zenoh 1.10.2.
+Source: decisions 0002 and 0007; measured with Zenoh 1.10.2.
 """
 
 from __future__ import annotations

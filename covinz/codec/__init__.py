@@ -4,7 +4,7 @@ Every message is a FlatBuffers message with its own file identifier (schemas/REA
 encoded is checked as strictly as what is decoded; the same value always gives the same bytes, and
 ``encode(decode(payload)) == payload`` for every payload that `encode` made.
 
-Source: DESIGN 4; docs/conventions.md.
+Source: schemas/README.md; docs/conventions.md; decision 0005.
 """
 
 from __future__ import annotations

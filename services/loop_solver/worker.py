@@ -4,7 +4,7 @@ A loop goes to the optimizer first and to the dispatcher then, each until acknow
 counts as done has its loop in the map's books. Both deduplicate, so a crash in between only costs
 a second solve.
 
-Source: DESIGN 1; decision 0002 (pull with leases).
+Source: docs/architecture.md; decision 0006 (pull with leases).
 """
 
 from __future__ import annotations

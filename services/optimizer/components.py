@@ -23,7 +23,7 @@ class Component:
 
     @property
     def map_id(self) -> str:
-        """Session of the oldest segment. Source: DESIGN 7, frame `map`."""
+        """Session of the oldest segment. Source: docs/conventions.md."""
         return self.segments[0].id.session
 
     @property

@@ -20,7 +20,7 @@ def make_correction(
 ) -> Correction:
     """The correction of a segment: ``T_map_odom = T_map_body(k) @ inv(T_odom_body(k))``.
 
-    k is the newest optimised keyframe of the segment. Source: DESIGN 2.
+    k is the newest optimised keyframe of the segment. Source: docs/conventions.md.
 
     Args:
         published: The map that the segment is in.

@@ -3,7 +3,7 @@
 pending -> leased -> done, or back to pending when a lease ends without an outcome, or dead after
 too many. At-least-once execution, exactly-once effect: outcomes are deduplicated by job id.
 
-Source: DESIGN 1; decision 0002 (pull with leases, liveliness as accelerator).
+Source: decision 0006 (pull with leases, liveliness as accelerator).
 """
 
 from __future__ import annotations

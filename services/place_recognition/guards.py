@@ -3,7 +3,7 @@
 Every decision is a function of the log up to the query and never of an outcome, so the job list
 is the same with one worker or eight and after any crash.
 
-Source: DESIGN 1; parameters of the public code in docs/paper.md (place recognition).
+Source: docs/architecture.md; parameters of the public code in docs/paper.md (place recognition).
 """
 
 from __future__ import annotations

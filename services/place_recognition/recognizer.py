@@ -1,6 +1,6 @@
 """From the keyframe log to loop jobs: look up, guard, rank, form the rigs, then index.
 
-Source: COVINS-G III-B1; DESIGN 1 and 2.
+Source: COVINS-G III-A; docs/architecture.md.
 """
 
 from __future__ import annotations

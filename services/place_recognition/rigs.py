@@ -1,6 +1,6 @@
 """Loop jobs: the five keyframes of the two rigs, fixed when the job is made.
 
-Source: COVINS-G III-B2, S_q and S_c; DESIGN 1.
+Source: COVINS-G III-B2, S_q and S_c.
 """
 
 from __future__ import annotations
