@@ -17,10 +17,12 @@ import yaml
 from numpy.typing import NDArray
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from covinz import client, config, evaluation, export, run, supervisor, trajectory
-from covinz.bus import Bus, ZenohBus
+from covinz import client, config, durable, evaluation, export, run, supervisor, trajectory
+from covinz.bus import Bus, BusError, ZenohBus, open_router
+from covinz.codec import MalformedMessage
 from covinz.types import JobRecord, JobState, LoopClosure, Rejection
 
 app = typer.Typer(
@@ -38,6 +40,7 @@ ConfigFile = Annotated[
 Endpoint = Annotated[
     str, typer.Option(help="Where the router listens.", envvar="COVINZ__BUS__ENDPOINT")
 ]
+CONNECT_TIMEOUT_S = 3.0
 DEFAULT_ENDPOINT = config.BusConfig().endpoint
 
 
@@ -50,7 +53,9 @@ def up(
     """Start the server: router, ingest, place recognition, loop solvers, optimizer."""
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     settings = config.load(config_file)
-    data.mkdir(parents=True, exist_ok=True)
+    # What makes a server impossible is said here, once; its processes would be restarted for ever.
+    open_router(settings.bus).close()
+    durable.claim(data / "server")
     written = data / "config.yaml"
     written.write_text(yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
     specs = supervisor.server_specs(written.resolve(), data.resolve(), workers)
@@ -58,10 +63,10 @@ def up(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     with supervisor.Supervisor(specs, pid_file=data / "processes.json"):
-        console.print(f"covinz listens on {settings.bus.endpoint} ({workers} loop solvers)")
-        console.print(f"data in {data.resolve()}, Ctrl-C stops it", soft_wrap=True)
+        _say(f"covinz listens on {settings.bus.endpoint} ({workers} loop solvers)")
+        _say(f"data in {data.resolve()}, Ctrl-C stops it")
         stop.wait()
-        console.print("stopping")
+        _say("stopping")
 
 
 @app.command("run")
@@ -82,12 +87,14 @@ def run_scenario(
     """Start a server, play a scenario's agents, evaluate, stop."""
     if rate is not None and lockstep:
         raise typer.BadParameter("--rate and --lockstep exclude each other")
+    # Like Ctrl-C, SIGTERM must stop the server and the agents too.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     options = run.RunOptions(
         workers=workers, profile=profile, rate=rate, lockstep=lockstep, out=out
     )
     result = run.run_scenario(scenario, options, console)
     _print_report(result.report)
-    console.print(f"\n{result.folder}/report.json and top_view.png", soft_wrap=True)
+    _say(f"\n{result.folder}/report.json and top_view.png")
 
 
 @app.command()
@@ -107,7 +114,7 @@ def status(endpoint: Endpoint = DEFAULT_ENDPOINT) -> None:
         counters = "  ".join(f"{name}={value:g}" for name, value in sorted(item.counters.items()))
         if counters:
             console.print(f"[bold]{item.instance}[/]  {counters}", highlight=False)
-    console.print("idle" if now.idle else f"at work: {now}", highlight=False)
+    _say("idle" if now.idle else f"at work: {now}")
 
 
 @app.command()
@@ -121,7 +128,10 @@ def why(
     table = Table("query", "candidate", "score", "outcome", "counted", "needed", "detail")
     for record in records:
         table.add_row(str(record.job.query), str(record.job.cand), *_describe(record))
-    console.print(table if records else f"no candidate was ever found for {keyframe}")
+    if records:
+        console.print(table)
+    else:
+        _say(f"no candidate was ever found for {keyframe}")
 
 
 @app.command("export")
@@ -133,7 +143,7 @@ def export_maps(
     with _connected(endpoint) as bus:
         snapshots = client.snapshots(bus)
     for file in export.write_maps(out, snapshots):
-        console.print(str(file), soft_wrap=True)
+        _say(str(file))
 
 
 @app.command("eval")
@@ -151,7 +161,8 @@ def evaluate(
         evaluation.associate(trajectory.read_tum(estimate), trajectory.read_tum(truth))
         for estimate, truth in zip(estimates, truths, strict=True)
     ]
-    table = Table("trajectory", "poses", "ATE alone [m]", "RPE over 1 m: median [m]", "[deg]")
+    headings = ("ATE alone [m]", "RPE over 1 m: median [m]", "[deg]")
+    table = Table("trajectory", "poses", *map(escape, headings))
     for file, pair in zip(estimates, pairs, strict=True):
         if not len(pair):
             raise trajectory.TrajectoryError(f"{file}: no pose has ground truth at its time")
@@ -159,13 +170,15 @@ def evaluate(
         medians = [_median(rpe.translation_m), _median(np.rad2deg(rpe.rotation_rad))]
         table.add_row(str(file), str(len(pair)), f"{evaluation.ate_m(pair):.4f}", *medians)
     console.print(table)
-    console.print(f"joint ATE, one SE(3) alignment: {evaluation.joint_ate_m(pairs):.4f} m")
+    _say(f"joint ATE, one SE(3) alignment: {evaluation.joint_ate_m(pairs):.4f} m")
 
 
 @contextmanager
 def _connected(endpoint: str) -> Iterator[Bus]:
     bus = ZenohBus.open(config.BusConfig(endpoint=endpoint))
     try:
+        if not bus.wait_connected(CONNECT_TIMEOUT_S):
+            raise client.ServerUnavailable(f"nobody listens at {endpoint}; is the server up?")
         yield bus
     finally:
         bus.close()
@@ -190,19 +203,24 @@ def _describe(record: JobRecord) -> tuple[str, str, str, str, str]:
 
 
 def _print_report(report: dict[str, Any]) -> None:
-    table = Table("agent", "keyframes", "kB/s", "ATE before [m]", "ATE after [m]")
+    headings = ("ATE before [m]", "ATE after [m]")
+    table = Table("agent", "keyframes", "kB/s", *map(escape, headings))
     for name, agent in report["agents"].items():
         errors_m = [_metres(agent["ate_before_m"]), _metres(agent["ate_after_m"])]
         table.add_row(name, str(agent["keyframes"]), f"{agent['kB_per_s']:.0f}", *errors_m)
     console.print(table)
     loops = report["loops"]
-    console.print(
+    _say(
         f"{len(report['maps'])} map(s) {report['maps']}; {loops['accepted']} loops of "
         f"{loops['candidates']} candidates ({loops['inter']} between agents), "
         f"wrong: {loops['wrong']}; joint ATE {_metres(report['joint_ate_before_m'])} -> "
         f"{_metres(report['joint_ate_after_m'])} m; keyframes lost: {report['keyframes_lost']}",
-        highlight=False,
     )
+
+
+def _say(text: str) -> None:
+    """Print as it is: brackets are no markup, long lines are left to the terminal."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _median(values: NDArray[np.float64]) -> str:
@@ -215,18 +233,23 @@ def _metres(value: float | None) -> str:
 
 def main() -> None:
     """Entry point: known errors become one line, bugs keep their traceback."""
+    # Who waits for the router says so in words of its own.
+    logging.getLogger("covinz.bus").setLevel(logging.ERROR)
     known = (
+        BusError,
+        MalformedMessage,
+        OSError,
         config.ConfigError,
+        durable.DurableFileError,
         client.ServerUnavailable,
         supervisor.ServicesNotFound,
         run.RunFailed,
         trajectory.TrajectoryError,
-        TimeoutError,
     )
     try:
         app()
     except known as error:
-        errors.print(f"covinz: {error}", style="red", highlight=False, soft_wrap=True)
+        errors.print(f"covinz: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
         sys.exit(1)
 
 

@@ -9,6 +9,7 @@ implementation; [measured] is explained in the decision or document named.
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 from collections.abc import Mapping
@@ -16,13 +17,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 PositiveInt = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 M = TypeVar("M", bound=BaseModel)
+ENVIRONMENT_PREFIX = "COVINZ__"
 
 
 class ConfigError(ValueError):
@@ -279,11 +281,19 @@ def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> 
     Raises:
         ConfigError: If the file cannot be read or a value is unknown or out of range.
     """
-    values = read_yaml(path) if path is not None else {}
-    for name, text in sorted((os.environ if environ is None else environ).items()):
-        if name.startswith("COVINZ__"):
-            _assign(values, name.removeprefix("COVINZ__").lower().split("__"), text)
+    values = with_environment(read_yaml(path) if path is not None else {}, environ)
     return validate(Config, values, str(path or "environment"))
+
+
+def with_environment(
+    values: Mapping[str, Any], environ: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """`values` with what ``COVINZ__SECTION__FIELD`` says in their place; raises ConfigError."""
+    changed = copy.deepcopy(dict(values))
+    for name, text in sorted((os.environ if environ is None else environ).items()):
+        if name.startswith(ENVIRONMENT_PREFIX):
+            _assign(changed, name.removeprefix(ENVIRONMENT_PREFIX).lower().split("__"), text)
+    return changed
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -291,7 +301,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         values = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read {path}: {error}") from error
+        in_one_line = " ".join(str(error).split())
+        raise ConfigError(f"cannot read {path}: {in_one_line}") from error
     if values is None:
         return {}
     if not isinstance(values, dict):
@@ -303,8 +314,17 @@ def validate(model: type[M], values: Mapping[str, Any], origin: str) -> M:
     """Build `model` from `values`; raises ConfigError naming every bad entry."""
     try:
         return model.model_validate(values)
-    except ValueError as error:
-        raise ConfigError(f"{origin}: {error}") from error
+    except ValidationError as error:
+        bad = "; ".join(_complaint(entry["loc"], entry["msg"]) for entry in error.errors())
+        raise ConfigError(f"{origin}: {bad}") from error
+
+
+def _complaint(entry: tuple[int | str, ...], message: str) -> str:
+    """One bad entry, e.g. ``optimizer.cauchy_skale: there is no such setting``."""
+    if message.startswith("Extra inputs"):
+        message = "there is no such setting"
+    message = message.removeprefix("Value error, ")
+    return ": ".join(filter(None, [".".join(map(str, entry)), message]))
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -48,7 +48,7 @@ class DurableFile:
 
     def __init__(self, path: Path, kind: FileKind, busy_timeout_s: float = 5.0) -> None:
         self.path = path
-        self._lock = _lock(path)
+        self._lock = claim(path)
         try:
             self.db = _connect(f"file:{quote(str(path))}", busy_timeout_s)
             try:
@@ -103,8 +103,15 @@ def _connect(uri: str, busy_timeout_s: float) -> sqlite3.Connection:
     )
 
 
-def _lock(path: Path) -> int:
-    """Hold ``<path>.lock`` as long as the process lives, even if it is killed."""
+def claim(path: Path) -> int:
+    """Hold ``<path>.lock`` as long as the process lives, even if it is killed.
+
+    Returns:
+        A file descriptor; closing it gives the lock back.
+
+    Raises:
+        DurableFileError: If another process holds it, or it cannot be made.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT, 0o644)

@@ -23,8 +23,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from covinz import client, config, export, g2o, keyexprs, report
 from covinz.bus import Bus, ZenohBus
-from covinz.scenario import Scenario, load_scenario
-from covinz.supervisor import Supervisor, child_environment, server_specs
+from covinz.scenario import Scenario, TumAgent, load_scenario
+from covinz.supervisor import Supervisor, child_environment, die_with_parent, server_specs
 from covinz.trajectory import write_tum
 from covinz.types import MapSnapshot
 
@@ -69,10 +69,12 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
 
     Raises:
         ConfigError: If the scenario or an override in it is not usable.
-        RunFailed: If the server does not come up or the agents cannot be played.
+        RunFailed: If a recording is not there, the server does not come up or the agents cannot
+            be played.
     """
     began = time.monotonic()
     scenario = load_scenario(scenario_file)
+    _require_recordings(scenario)
     settings = server_config(scenario, options)
     folder = make_run_folder(scenario.name, options.out)
     written = folder / "config.yaml"
@@ -103,10 +105,19 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
     return RunResult(folder, made)
 
 
+def _require_recordings(scenario: Scenario) -> None:
+    for agent in scenario.agents:
+        if isinstance(agent, TumAgent) and not agent.path.is_dir():
+            raise RunFailed(
+                f"{agent.id}: there is no recording in {agent.path}; the scenarios of the "
+                "repository look for theirs below the folder that COVINZ_DATA names"
+            )
+
+
 def server_config(scenario: Scenario, options: RunOptions) -> config.Config:
-    """The scenario's settings on a loopback port of its own, with the asked profile."""
+    """The scenario's settings and the environment's, with a loopback port of its own."""
     values = config.merge(
-        scenario.config,
+        config.with_environment(scenario.config),
         {
             "bus": {"endpoint": f"tcp/127.0.0.1:{free_port()}"},
             "loop_solver": {"profile": options.profile},
@@ -126,9 +137,12 @@ def free_port() -> int:
 def make_run_folder(name: str, out: Path | None) -> Path:
     """Make the run's folder and let ``runs/latest`` point to it when it lies in ``runs``."""
     if out is not None:
-        if out.exists() and any(out.iterdir()):
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunFailed(f"cannot make the run folder {out}: {error.strerror}") from error
+        if any(out.iterdir()):
             raise RunFailed(f"{out} is not empty; a run never overwrites another")
-        out.mkdir(parents=True, exist_ok=True)
         return out
     slug = re.sub(r"[^A-Za-z0-9_-]+", "-", name)
     folder = Path("runs") / f"{slug}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
@@ -170,7 +184,7 @@ def _play(scenario_file: Path, endpoint: str, options: RunOptions, folder: Path)
     argv += ["--endpoint", endpoint, "--spool", str(folder / "spool"), "--summary", str(summary)]
     argv += ["--lockstep"] if options.lockstep else []
     argv += ["--rate", str(options.rate)] if options.rate is not None else []
-    player = subprocess.Popen(argv, env=child_environment())
+    player = subprocess.Popen(argv, env=child_environment(), preexec_fn=die_with_parent)
     try:
         code = player.wait()
     except BaseException:
@@ -178,7 +192,7 @@ def _play(scenario_file: Path, endpoint: str, options: RunOptions, folder: Path)
         player.wait()
         raise
     if code != 0:
-        raise RunFailed(f"playing the agents ended with code {code}")
+        raise RunFailed(f"playing the agents ended with code {code}; why is said above")
     agents: dict[str, Any] = json.loads(summary.read_text())["agents"]
     return agents
 

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from covinz.config import ENVIRONMENT_PREFIX
+
 log = logging.getLogger(__name__)
 
 PR_SET_PDEATHSIG = 1
@@ -76,8 +78,13 @@ def checkout() -> Path:
 
 
 def child_environment() -> dict[str, str]:
-    """Environment of a child: one thread for linear algebra, unbuffered output."""
-    env = dict(os.environ, PYTHONUNBUFFERED="1")
+    """Environment of a child: one thread for linear algebra, unbuffered output.
+
+    Settings in the environment are in the configuration file that the child is given, and must
+    not replace what was decided after them, e.g. the port of a run.
+    """
+    env = {k: v for k, v in os.environ.items() if not k.startswith(ENVIRONMENT_PREFIX)}
+    env["PYTHONUNBUFFERED"] = "1"
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         env.setdefault(name, "1")
     paths = [str(checkout()), *filter(None, [env.get("PYTHONPATH")])]
@@ -186,7 +193,7 @@ class Supervisor:
                     stderr=subprocess.STDOUT if output else None,
                     # Ctrl-C reaches this command only; it then asks its children in order.
                     start_new_session=True,
-                    preexec_fn=_die_with_parent,
+                    preexec_fn=die_with_parent,
                 )
                 self._children[spec.name] = child
                 self._starts[spec.name] = self._starts.get(spec.name, 0) + 1
@@ -208,7 +215,8 @@ class Supervisor:
         partial.replace(self._pid_file)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
+    """Run in a child before its program: it is told to stop when its parent is gone (Linux)."""
     # The signal comes when the thread that forked ends, and that thread waits for the child.
     if _libc is not None:
         _libc.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import re
+
 import zenoh
 
 from covinz.bus.protocol import BusError, Closable
@@ -20,7 +22,9 @@ def open_router(config: BusConfig) -> Closable:
     try:
         return _Router(zenoh.open(router_settings(config)))
     except zenoh.ZError as error:
-        raise BusError(f"cannot listen on {config.endpoint}: {error}") from error
+        # Without the places in Zenoh's source.
+        reason = re.sub(r" at \S+\.rs:\d+\.?", "", str(error))
+        raise BusError(f"cannot listen on {config.endpoint}: {reason}") from error
 
 
 class _Router:

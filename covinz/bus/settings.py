@@ -70,5 +70,9 @@ def _settings(config: BusConfig, special: dict[str, object]) -> zenoh.Config:
         try:
             settings.insert_json5(name, json.dumps(value))
         except zenoh.ZError as error:
+            if name.endswith("/endpoints"):
+                raise BusError(
+                    f"not an endpoint: {config.endpoint!r}; expected e.g. tcp/127.0.0.1:7447"
+                ) from error
             raise BusError(f"cannot use {name} = {value}: {error}") from error
     return settings
