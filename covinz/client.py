@@ -28,6 +28,8 @@ class Progress:
         looked_up: Entries that place recognition has processed.
         mapped: Entries that the optimizer has processed.
         open_jobs: Jobs pending or leased.
+        busy_workers: Loop solvers at work; also on a job that counts as given up, whose outcome
+            is taken when it comes.
         dirty: The optimizer has accepted something that its maps do not show yet.
         missing: Services that did not answer.
     """
@@ -36,6 +38,7 @@ class Progress:
     looked_up: int
     mapped: int
     open_jobs: int
+    busy_workers: int
     dirty: bool
     missing: tuple[str, ...]
 
@@ -43,7 +46,8 @@ class Progress:
     def idle(self) -> bool:
         """Nothing is left to do for the log as it is."""
         done = self.looked_up == self.head == self.mapped
-        return done and self.open_jobs == 0 and not self.dirty and not self.missing
+        at_work = self.open_jobs or self.busy_workers or self.dirty
+        return done and not at_work and not self.missing
 
 
 def statuses(bus: Bus, service: str = "*") -> list[Status]:
@@ -62,9 +66,13 @@ def progress(bus: Bus) -> Progress:
     leaves one while we ask is seen in the next.
     """
     by_name: dict[str, Status] = {}
-    for name in ("ingest", "place_recognition", "optimizer"):
+    busy_workers = 0
+    for name in ("ingest", "place_recognition", "loop_solver", "optimizer"):
         for status in statuses(bus, name):
-            by_name[name] = status
+            if name == "loop_solver":
+                busy_workers += status.leased
+            else:
+                by_name[name] = status
     ingest, recognition = by_name.get("ingest"), by_name.get("place_recognition")
     optimizer = by_name.get("optimizer")
     missing = [n for n in ("ingest", "place_recognition", "optimizer") if n not in by_name]
@@ -76,6 +84,7 @@ def progress(bus: Bus) -> Progress:
         looked_up=recognition.cursor if recognition else 0,
         mapped=optimizer.cursor if optimizer else 0,
         open_jobs=recognition.pending + recognition.leased if recognition else 0,
+        busy_workers=busy_workers,
         dirty=optimizer.dirty if optimizer else False,
         missing=tuple(missing),
     )

@@ -125,6 +125,9 @@ class Uploader:
             except _NoAnswer as error:
                 logger.debug("%s/%d: %s", row.session, row.first_seq, error)
                 answer = None
+            except SpoolError as error:
+                self._complain("cannot read the calibration of an upload: %s", error)
+                answer = None
             timed_out = time.monotonic() - started >= self._config.ack_timeout_s
             is_settled = self._settle(row, answer)
             self._done(row.position, answer, is_settled, timed_out)
@@ -198,11 +201,13 @@ class Uploader:
                     self._on_rejected(row, answer)
                     return True
         except SpoolError as error:
-            # After `stop` the spool may be closed: then this is the expected end.
-            level = logging.DEBUG if self._stopping else logging.ERROR
-            logger.log(level, "an upload that was answered will be sent again: %s", error)
+            self._complain("an upload that was answered will be sent again: %s", error)
         self._spool.release(row.position)
         return False
+
+    def _complain(self, text: str, error: SpoolError) -> None:
+        # After `stop` the spool may be closed: then this is the expected end.
+        logger.log(logging.DEBUG if self._stopping else logging.ERROR, text, error)
 
     def _done(
         self, position: int, answer: UploadReply | None, is_settled: bool, timed_out: bool

@@ -1,11 +1,18 @@
-"""The pauses of the uploader; its behaviour is tested in test_agent.py."""
+"""The pauses of the uploader and a failing spool; more of its behaviour is in test_agent.py."""
 
 from __future__ import annotations
 
 import random
+from pathlib import Path
 
+from covinz import codec, keyexprs
 from covinz.config import AgentConfig
-from covinz.uploader import Backoff
+from covinz.memory_bus import Hub
+from covinz.spool import Spool, SpoolError
+from covinz.types import Stored
+from covinz.uploader import Backoff, Uploader
+from tests.local_ingest import WAIT_S
+from tests.uploads import CAMERA, keyframe, message
 
 
 def test_pauses_double_up_to_the_limit_and_scatter() -> None:
@@ -25,3 +32,35 @@ def test_a_success_ends_the_growth() -> None:
         backoff.failed()
     backoff.reset()
     assert backoff.failed() <= 0.1
+
+
+class FlakySpool(Spool):
+    """A spool whose disk cannot be read when the calibration is wanted for the first time."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "a0", 10**9)
+        self.failures = 0
+
+    def camera(self, camera_hash: str) -> bytes:
+        if not self.failures:
+            self.failures += 1
+            raise SpoolError("disk I/O error")
+        return super().camera(camera_hash)
+
+
+def test_a_spool_that_cannot_be_read_for_once_is_tried_again(tmp_path: Path) -> None:
+    hub = Hub()
+    server, robot = hub.join(), hub.join()
+    for key in (keyexprs.AGENT_CAMERAS, keyexprs.AGENT_KEYFRAMES):
+        server.answer(key, lambda query: query.reply(codec.encode(Stored())))
+    spool = FlakySpool(tmp_path / "spool")
+    spool.append(keyframe().id, message(), CAMERA.hash, codec.encode(CAMERA))
+    config = AgentConfig(window=1, min_backoff_s=0.001, max_backoff_s=0.01)
+    uploader = Uploader(robot, spool, "a0", config, lambda row, answer: None)
+    uploader.start()
+    assert uploader.wait_empty(WAIT_S)
+    assert spool.failures == 1
+    uploader.stop(WAIT_S)
+    spool.close()
+    robot.close()
+    server.close()
