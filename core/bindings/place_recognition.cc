@@ -56,13 +56,31 @@ Vocabulary Train(const InDescriptors& descriptors,
   return TrainVocabulary(all, offsets, {branching, depth, max_iterations, seed});
 }
 
-nb::bytes VocabularyBytes(const Vocabulary& vocabulary) {
+constexpr size_t kDigestBytes = 32;
+
+nb::object Sha256(const nb::bytes& content) {
+  return nb::module_::import_("hashlib").attr("sha256")(content);
+}
+
+nb::bytes Content(const Vocabulary& vocabulary) {
   const std::vector<uint8_t> bytes = vocabulary.ToBytes();
-  return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  return nb::bytes(bytes.data(), bytes.size());
+}
+
+nb::bytes VocabularyBytes(const Vocabulary& vocabulary) {
+  const nb::bytes content = Content(vocabulary);
+  return nb::cast<nb::bytes>(content + Sha256(content).attr("digest")());
 }
 
 Vocabulary VocabularyFromBytes(const nb::bytes& bytes) {
-  return Vocabulary::FromBytes(reinterpret_cast<const uint8_t*>(bytes.c_str()), bytes.size());
+  if (bytes.size() < kDigestBytes) throw std::invalid_argument("Vocabulary bytes: too short");
+  const auto* data = static_cast<const uint8_t*>(bytes.data());
+  const nb::bytes content(data, bytes.size() - kDigestBytes);
+  const nb::bytes digest(data + content.size(), kDigestBytes);
+  if (!Sha256(content).attr("digest")().equal(digest)) {
+    throw std::invalid_argument("Vocabulary bytes: checksum differs");
+  }
+  return Vocabulary::FromBytes(data, content.size());
 }
 
 Out<uint32_t> Words(const Vocabulary& vocabulary, const InDescriptors& array) {
@@ -107,7 +125,8 @@ Raises:
         options out of range.)")
       .def_static("from_bytes", &VocabularyFromBytes, "data"_a,
                   "Inverse of to_bytes. Raises ValueError on truncated or altered bytes.")
-      .def("to_bytes", &VocabularyBytes, "Portable bytes with version and checksum.")
+      .def("to_bytes", &VocabularyBytes,
+           "Portable bytes: version, content and the SHA-256 of both.")
       .def("words", &Words, "descriptors"_a,
            "Word (N,) of each descriptor (N, 32). Raises ValueError if not 32 bytes.")
       .def_prop_ro("num_words", &Vocabulary::num_words)
@@ -115,7 +134,12 @@ Raises:
           "idf", [](const Vocabulary& vocabulary) { return ToNumpy(vocabulary.idf()); },
           nb::rv_policy::automatic,
           "log(training images / images that hold the word) of each word: (num_words,).")
-      .def_prop_ro("hash", &Vocabulary::hash, "Identity: SHA-256 of the content, 64 hex digits.");
+      .def_prop_ro(
+          "hash",
+          [](const Vocabulary& vocabulary) {
+            return nb::cast<std::string>(Sha256(Content(vocabulary)).attr("hexdigest")());
+          },
+          "Identity: SHA-256 of the content, 64 hex digits.");
 }
 
 void BindIndices(nb::module_& m) {

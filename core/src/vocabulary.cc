@@ -4,9 +4,8 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <string>
 #include <utility>
-
-#include "covinz/sha256.h"
 
 namespace covinz {
 namespace {
@@ -51,10 +50,6 @@ Vocabulary::Vocabulary(std::vector<BinaryDescriptor> centroids,
   for (const float weight : idf_) {
     Require(std::isfinite(weight) && weight >= 0.0f, "an idf weight is negative or not finite");
   }
-  const std::vector<uint8_t> bytes = ToBytes();
-  Sha256Digest digest;
-  std::copy(bytes.end() - static_cast<std::ptrdiff_t>(digest.size()), bytes.end(), digest.begin());
-  hash_ = ToHex(digest);
 }
 
 std::vector<uint32_t> Vocabulary::Words(const std::vector<BinaryDescriptor>& descriptors) const {

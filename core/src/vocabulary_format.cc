@@ -4,7 +4,6 @@
 #include <cstring>
 #include <stdexcept>
 
-#include "covinz/sha256.h"
 #include "covinz/vocabulary.h"
 
 namespace covinz {
@@ -13,7 +12,6 @@ namespace {
 constexpr std::array<uint8_t, 8> kMagic = {'c', 'o', 'v', 'i', 'n', 'z', '-', 'v'};
 constexpr uint32_t kVersion = 1;
 constexpr size_t kHeaderBytes = kMagic.size() + 3 * sizeof(uint32_t);
-constexpr size_t kDigestBytes = sizeof(Sha256Digest);
 constexpr size_t kNodeBytes = kDescriptorBytes + 1;
 
 void Require(bool condition, const char* message) {
@@ -61,25 +59,19 @@ std::vector<uint8_t> Vocabulary::ToBytes() const {
     bytes.push_back(static_cast<uint8_t>(node.num_children));
   }
   for (const float weight : idf_) append(BitsOf(weight));
-  const Sha256Digest digest = Sha256(bytes.data(), bytes.size());
-  bytes.insert(bytes.end(), digest.begin(), digest.end());
   return bytes;
 }
 
 Vocabulary Vocabulary::FromBytes(const uint8_t* bytes, size_t num_bytes) {
-  Require(num_bytes >= kHeaderBytes + kDigestBytes, "too short");
+  Require(num_bytes >= kHeaderBytes, "too short");
   Require(std::equal(kMagic.begin(), kMagic.end(), bytes), "not a vocabulary");
   const uint8_t* cursor = bytes + kMagic.size();
   Require(FromLittleEndian(cursor) == kVersion, "unknown version");
   const size_t num_nodes = FromLittleEndian(cursor + 4);
   const size_t num_words = FromLittleEndian(cursor + 8);
   // Both counts are 32 bits wide, so the expected length cannot overflow.
-  Require(
-      num_bytes == kHeaderBytes + kNodeBytes * num_nodes + sizeof(float) * num_words + kDigestBytes,
-      "length differs from the header's counts");
-  const Sha256Digest digest = Sha256(bytes, num_bytes - kDigestBytes);
-  Require(std::equal(digest.begin(), digest.end(), bytes + num_bytes - kDigestBytes),
-          "checksum differs");
+  Require(num_bytes == kHeaderBytes + kNodeBytes * num_nodes + sizeof(float) * num_words,
+          "length differs from the header's counts");
 
   cursor = bytes + kHeaderBytes;
   std::vector<BinaryDescriptor> centroids = BinaryDescriptorsFromBytes(cursor, num_nodes);

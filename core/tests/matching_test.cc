@@ -1,6 +1,8 @@
 // Matching: known nearest neighbours, ratio, mutual check, limits, too few descriptors, bad input.
 #include "covinz/matching.h"
 
+#include <algorithm>
+#include <cmath>
 #include <random>
 
 #include <gtest/gtest.h>
@@ -44,6 +46,65 @@ TEST(MatchDescriptors, FindsAPermutation) {
       EXPECT_EQ(matches[static_cast<size_t>(i)].cand, 199 - i);
     }
   }
+}
+
+// By the definition, a distance at a time.
+Expected MatchesByDefinition(const Descriptors& query,
+                             const Descriptors& cand,
+                             const MatchingOptions& options) {
+  const auto distance = [&](Eigen::Index q, Eigen::Index c) {
+    double sum = 0.0;
+    for (Eigen::Index k = 0; k < query.cols(); ++k) {
+      const int a = query(q, k);
+      const int b = cand(c, k);
+      sum +=
+          options.norm == DescriptorNorm::kHamming ? __builtin_popcount(a ^ b) : (a - b) * (a - b);
+    }
+    return options.norm == DescriptorNorm::kHamming ? sum : std::sqrt(sum);
+  };
+  Expected matches;
+  for (Eigen::Index q = 0; q < query.rows(); ++q) {
+    std::vector<std::pair<double, Eigen::Index>> order;
+    for (Eigen::Index c = 0; c < cand.rows(); ++c) order.emplace_back(distance(q, c), c);
+    std::sort(order.begin(), order.end());
+    const auto [nearest, c] = order[0];
+    bool kept = nearest <= options.max_distance;
+    if (options.max_ratio < 1.0) {
+      kept = kept && order.size() > 1 && nearest < options.max_ratio * order[1].first;
+    }
+    for (Eigen::Index other = 0; options.mutual && other < query.rows(); ++other) {
+      const double back = distance(other, c);
+      kept = kept && (back > nearest || (back == nearest && other >= q));
+    }
+    if (kept) matches.emplace_back(static_cast<int>(q), static_cast<int>(c));
+  }
+  return matches;
+}
+
+// Two-valued bytes give many equal distances: the first of equals is the nearest.
+TEST(MatchDescriptors, AgreesWithTheDefinition) {
+  size_t num_matches = 0;
+  for (const int cols : {1, 8, 31, 32, 61}) {
+    for (const uint8_t mask : {0x01, 0xff}) {
+      Descriptors query = RandomDescriptors(40, cols, 5);
+      Descriptors cand = RandomDescriptors(50, cols, 6);
+      cand.topRows(20) = query.middleRows(10, 20);
+      for (Descriptors* d : {&query, &cand}) {
+        *d = d->unaryExpr([mask](uint8_t byte) { return static_cast<uint8_t>(byte & mask); });
+      }
+      for (const double max_ratio : {0.8, 1.0}) {
+        for (const bool mutual : {true, false}) {
+          for (const DescriptorNorm norm : {DescriptorNorm::kHamming, DescriptorNorm::kL2}) {
+            const MatchingOptions options{norm, max_ratio, mutual, 90.0};
+            const Expected expected = MatchesByDefinition(query, cand, options);
+            EXPECT_EQ(AsPairs(MatchDescriptors(query, cand, options)), expected);
+            num_matches += expected.size();
+          }
+        }
+      }
+    }
+  }
+  EXPECT_GT(num_matches, 500u);
 }
 
 TEST(MatchDescriptors, RatioOfBestToSecond) {

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
 #include <vector>
 
 #include "covinz/binary_descriptor.h"
@@ -42,11 +41,9 @@ class Vocabulary {
   // log(number of training images / number that hold the word) of each word.
   const std::vector<float>& idf() const { return idf_; }
 
-  // Identity: SHA-256 of the content, 64 hexadecimal digits.
-  const std::string& hash() const { return hash_; }
-
   // Little-endian: "covinz-v", version, number of nodes and of words (uint32), centroids (32
-  // bytes each), numbers of children (uint8), idf (float32), SHA-256 of all that.
+  // bytes each), numbers of children (uint8), idf (float32). The Python bindings add the
+  // checksum that is also the vocabulary's identity.
   std::vector<uint8_t> ToBytes() const;
 
   // Inverse of ToBytes. Throws std::invalid_argument on anything that ToBytes cannot have made.
@@ -56,7 +53,6 @@ class Vocabulary {
   std::vector<BinaryDescriptor> centroids_;
   std::vector<VocabularyNode> nodes_;
   std::vector<float> idf_;
-  std::string hash_;
 };
 
 }  // namespace covinz

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import covinz_core as core
 import numpy as np
 import pytest
@@ -67,11 +69,28 @@ def test_foreign_bytes_are_a_value_error(data: bytes) -> None:
         core.Vocabulary.from_bytes(data)
 
 
-def test_altered_bytes_are_a_value_error(vocabulary: core.Vocabulary) -> None:
+def test_every_altered_byte_is_a_value_error(vocabulary: core.Vocabulary) -> None:
     data = bytearray(vocabulary.to_bytes())
-    data[100] ^= 1
-    with pytest.raises(ValueError, match="checksum"):
-        core.Vocabulary.from_bytes(bytes(data))
+    for i in range(len(data)):
+        data[i] ^= 0x10
+        with pytest.raises(ValueError, match="checksum"):
+            core.Vocabulary.from_bytes(bytes(data))
+        data[i] ^= 0x10
+
+
+@pytest.mark.parametrize("length", [0, 31, 32, 51, 100])
+def test_every_truncation_is_a_value_error(vocabulary: core.Vocabulary, length: int) -> None:
+    content = vocabulary.to_bytes()[:length]
+    with pytest.raises(ValueError, match="Vocabulary bytes"):
+        core.Vocabulary.from_bytes(content)
+    with pytest.raises(ValueError, match="Vocabulary bytes"):
+        core.Vocabulary.from_bytes(content + hashlib.sha256(content).digest())
+
+
+def test_hash_is_the_known_one(vocabulary: core.Vocabulary) -> None:
+    """Guards against a change of draws, order or format: loop job ids depend on the hash."""
+    assert vocabulary.hash == "004b2e94fe6cecfa7e3be70b44d303833b5b6f58c40d59f9bc4dee197228c8fa"
+    assert vocabulary.to_bytes()[-32:].hex() == vocabulary.hash
 
 
 @pytest.mark.parametrize("length", [0, 31, 33, 128])
