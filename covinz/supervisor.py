@@ -161,13 +161,17 @@ class Supervisor:
         pause = MIN_PAUSE_S
         while True:
             began = time.monotonic()
-            child = self._spawn(spec)
-            if child is None:
-                return
-            code = child.wait()
-            if self._stopping.is_set():
-                return
-            log.warning("%s ended with %d, starting it again", spec.name, code)
+            try:
+                child = self._spawn(spec)
+            except OSError as error:  # no memory, no processes left: that may pass
+                log.error("cannot start %s, trying again: %s", spec.name, error)
+            else:
+                if child is None:
+                    return
+                code = child.wait()
+                if self._stopping.is_set():
+                    return
+                log.warning("%s ended with %d, starting it again", spec.name, code)
             if time.monotonic() - began > STABLE_AFTER_S:
                 pause = MIN_PAUSE_S
             if self._stopping.wait(pause):
@@ -175,10 +179,7 @@ class Supervisor:
             pause = min(2 * pause, MAX_PAUSE_S)
 
     def _spawn(self, spec: ProcessSpec) -> subprocess.Popen[bytes] | None:
-        output: IO[bytes] | None = None
-        if self._logs is not None:
-            self._logs.mkdir(parents=True, exist_ok=True)
-            output = (self._logs / f"{spec.name}.log").open("ab")
+        output = self._open_log(spec)
         try:
             # Under the lock, so that stop() either sees the child or prevents it.
             with self._lock:
@@ -203,6 +204,16 @@ class Supervisor:
             if output is not None:
                 output.close()
 
+    def _open_log(self, spec: ProcessSpec) -> IO[bytes] | None:
+        if self._logs is None:
+            return None
+        try:
+            self._logs.mkdir(parents=True, exist_ok=True)
+            return (self._logs / f"{spec.name}.log").open("ab")
+        except OSError as error:  # a process without a log is better than none
+            log.error("%s has no log: %s", spec.name, error)
+            return None
+
     def _write_pids(self) -> None:
         if self._pid_file is None:
             return
@@ -211,8 +222,11 @@ class Supervisor:
             for name, child in self._children.items()
         }
         partial = self._pid_file.with_suffix(".partial")
-        partial.write_text(json.dumps(pids, indent=2))
-        partial.replace(self._pid_file)
+        try:
+            partial.write_text(json.dumps(pids, indent=2))
+            partial.replace(self._pid_file)
+        except OSError as error:  # the children matter, not what is written of them
+            log.error("cannot write %s: %s", self._pid_file, error)
 
 
 def die_with_parent() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -113,3 +114,34 @@ def test_the_server_has_each_service_once_and_the_workers_asked_for(tmp_path: Pa
         *("loop_solver-0", "loop_solver-1", "loop_solver-2"),
     ]
     assert all("--data" in spec.argv and "--config" in spec.argv for spec in specs)
+
+
+def test_a_process_is_started_again_although_its_files_cannot_be_written(tmp_path: Path) -> None:
+    up, files = tmp_path / "up", tmp_path / "files"
+    up.mkdir()
+    files.mkdir()
+    pid_file = files / "processes.json"
+    with Supervisor([spec("a", up)], logs=files / "logs", pid_file=pid_file) as supervisor:
+        wait_for(lambda: len(started(up)) == 1)
+        first = started(up)[0]
+        # What a full disk does: neither the log nor the file of pids can be written.
+        shutil.rmtree(files)
+        files.touch()
+        os.kill(first, signal.SIGKILL)
+        wait_for(lambda: supervisor.starts() == {"a": 2})
+        wait_for(lambda: len(started(up)) == 2)
+        second = next(pid for pid in started(up) if pid != first)
+    assert not alive(second)
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    program = tmp_path / "program"
+    made = ProcessSpec("a", (str(program), *spec("a", up).argv[1:]))
+    with Supervisor([made]):
+        wait_for(lambda: "cannot start a" in caplog.text)
+        program.symlink_to(sys.executable)
+        wait_for(lambda: len(started(up)) == 1)
