@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from rich.table import Table
 from covinz import client, config, durable, evaluation, export, run, supervisor, trajectory
 from covinz.bus import Bus, BusError, ZenohBus, open_router
 from covinz.codec import MalformedMessage
+from covinz.signals import stop_event
 from covinz.types import JobRecord, JobState, LoopClosure, Rejection
 
 app = typer.Typer(
@@ -59,9 +60,7 @@ def up(
     written = data / "config.yaml"
     written.write_text(yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
     specs = supervisor.server_specs(written.resolve(), data.resolve(), workers)
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     with supervisor.Supervisor(specs, pid_file=data / "processes.json"):
         _say(f"covinz listens on {settings.bus.endpoint} ({workers} loop solvers)")
         _say(f"data in {data.resolve()}, Ctrl-C stops it")
@@ -88,7 +87,7 @@ def run_scenario(
     if rate is not None and lockstep:
         raise typer.BadParameter("--rate and --lockstep exclude each other")
     # Like Ctrl-C, SIGTERM must stop the server and the agents too.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGTERM, _leave)
     options = run.RunOptions(
         workers=workers, profile=profile, rate=rate, lockstep=lockstep, out=out
     )
@@ -171,6 +170,12 @@ def evaluate(
         table.add_row(str(file), str(len(pair)), f"{evaluation.ate_m(pair):.4f}", *medians)
     console.print(table)
     _say(f"joint ATE, one SE(3) alignment: {evaluation.joint_ate_m(pairs):.4f} m")
+
+
+def _leave(number: int, _: FrameType | None) -> None:
+    """Signal handler: leave through all `finally` blocks, once."""
+    signal.signal(number, signal.SIG_IGN)
+    sys.exit(128 + number)
 
 
 @contextmanager

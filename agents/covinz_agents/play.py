@@ -11,9 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from covinz.config import BusConfig, ConfigError
 from covinz.scenario import Scenario, load_scenario
+from covinz.signals import stop_event
 from covinz.spool import SpoolError
 from covinz.trajectory import TrajectoryError
 from covinz_agents.player import NotDelivered, PlayOptions, Report, Robot, play
@@ -43,9 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         lockstep=arguments.lockstep,
         patience_s=arguments.patience,
     )
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_event()
     try:
         scenario = load_scenario(arguments.scenario)
         with _progress(arguments.progress) as progress:
