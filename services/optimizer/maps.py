@@ -27,6 +27,10 @@ from services.optimizer.optimisation import MapEstimate, Placement, optimise
 from services.optimizer.pose_graph import build_graph, keyframe_ids
 from services.optimizer.segments import GrowingSegment
 
+# So many keyframes of one session in a row, and the agent is in that session: uploads that are
+# under way together overtake each other, but not so far. [`agent.window`]
+SWITCH_AFTER = 4
+
 Group = tuple[tuple[SegmentId, ...], tuple[LoopClosure, ...]]
 
 
@@ -49,6 +53,8 @@ class Maps:
         """Forget everything."""
         self._segments: dict[SegmentId, GrowingSegment] = {}
         self._newest: dict[str, SegmentId] = {}
+        # The segment of each agent's last keyframe and how many in a row were of it.
+        self._run: dict[str, tuple[SegmentId, int]] = {}
         self._loops: dict[str, LoopClosure] = {}
         self._pending: dict[str, LoopClosure] = {}
         self._waits_for: dict[KeyframeId, set[str]] = {}
@@ -58,7 +64,9 @@ class Maps:
     # --- inputs ------------------------------------------------------------------------------
 
     def add_keyframe(self, log_index: int, keyframe: Keyframe, revision: int) -> bool:
-        """Take a keyframe in log order; True when it is the first of its segment.
+        """Take a keyframe in log order; True when the agent's segment has become this one.
+
+        That is so with the first keyframe of a segment.
 
         A new segment is a map of its own, published under `revision`, until a loop joins it.
         """
@@ -67,13 +75,12 @@ class Maps:
         growing = self._segments.setdefault(segment, GrowingSegment(segment))
         growing.add(log_index, keyframe)
         if is_new:
-            self._newest[segment.agent] = segment
             self._groups = None
             alone = Component((growing.frozen(),), ())
             self._published[segment] = PublishedMap(optimise(alone, self._config), revision)
         for job_id in sorted(self._waits_for.pop(keyframe.id, ())):
             self._try_pending(job_id)
-        return is_new
+        return self._follow(segment, is_new)
 
     def add_loop(self, loop: LoopClosure) -> None:
         """Take a loop; it waits until both its keyframes are there."""
@@ -160,10 +167,24 @@ class Maps:
         return None
 
     def newest_segments(self) -> Iterable[SegmentId]:
-        """The segment of every agent that began last, sorted by agent."""
+        """The segment that every agent is in, sorted by agent.
+
+        It is the one that began last in the log, until `SWITCH_AFTER` keyframes in a row show that
+        it was another.
+        """
         return [self._newest[agent] for agent in sorted(self._newest)]
 
     # --- inside ------------------------------------------------------------------------------
+
+    def _follow(self, segment: SegmentId, is_new: bool) -> bool:
+        """Note whose keyframe came; whether the agent's newest segment has become this one."""
+        last, count = self._run.get(segment.agent, (segment, 0))
+        count = count + 1 if last == segment else 1
+        self._run[segment.agent] = segment, count
+        if not is_new and (count < SWITCH_AFTER or self._newest[segment.agent] == segment):
+            return False
+        self._newest[segment.agent] = segment
+        return True
 
     def _try_pending(self, job_id: str) -> None:
         loop = self._pending[job_id]

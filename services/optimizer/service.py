@@ -238,8 +238,7 @@ class Optimizer:
             if isinstance(entry.item, Gap):
                 self._counters["gaps"] += 1
                 continue
-            is_new = self._maps.add_keyframe(entry.log_index, entry.item, self._store.revision)
-            if is_new:
+            if self._maps.add_keyframe(entry.log_index, entry.item, self._store.revision):
                 self._uncorrected.add(entry.item.id.segment)
             self._quiet_since_s = self._clock_s()
 

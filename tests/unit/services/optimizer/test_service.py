@@ -483,6 +483,25 @@ def test_only_the_newest_session_of_an_agent_is_corrected(bench: Bench) -> None:
     assert bench.heard_nothing_more()
 
 
+def test_a_session_whose_start_was_overtaken_is_corrected_all_the_same(bench: Bench) -> None:
+    # Several uploads of a robot are under way at once: its old session may be logged after the
+    # first keyframe of the one it is in.
+    bench.begin()
+    bench.read([keyframe("a", 1, 0), keyframe("a", 0, 0)])
+    assert [c.keyframe.session for c in bench.heard(1)] == [session(0)]
+    bench.read([keyframe("a", 1, seq) for seq in range(1, 6)])
+    assert [c.keyframe.session for c in bench.heard(1)] == [session(1)]
+    bench.read([keyframe("b", 2, 0)])
+    bench.heard(1)
+    bench.bring(closure(keyframe("b", 2, 0).id, keyframe("a", 1, 0).id))
+    bench.run()
+    assert [c.keyframe.segment for c in bench.heard(2)] == [
+        keyframe("a", 1, 0).id.segment,
+        keyframe("b", 2, 0).id.segment,
+    ]
+    assert bench.heard_nothing_more()
+
+
 def test_the_last_correction_can_be_asked_for_even_after_a_restart(bench: Bench) -> None:
     bench.begin()
     assert bench.ask(keyexprs.agent_correction("a")) is None
