@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from covinz.frames import Array, inverse
 from covinz.types import LoopClosure, SegmentId
 from services.optimizer.components import Component
-from services.optimizer.odometry_noise import step_covariances
+from services.optimizer.odometry_noise import adjoint, step_covariances
 from services.optimizer.pose_graph import NoiseOf
 from services.optimizer.segments import Segment
 
@@ -143,7 +143,7 @@ def _bridges(
         for loop in between.get((a, segment), ()):
             forward = loop.query.segment == segment
             body_a, body_b = (loop.cand, loop.query) if forward else (loop.query, loop.cand)
-            variance = np.diag(loop.covariance)
+            variance = np.diag(loop.covariance if forward else _swapped(loop))
             bridges.append(
                 _Bridge(
                     job_id=loop.job_id,
@@ -156,6 +156,12 @@ def _bridges(
                 )
             )
     return sorted(bridges, key=lambda bridge: bridge.job_id)
+
+
+def _swapped(loop: LoopClosure) -> Array:
+    """(6, 6) covariance of T_query_cand, in the candidate body frame."""
+    A = adjoint(loop.T_cand_query)
+    return A @ loop.covariance @ A.T
 
 
 def _best_placement(

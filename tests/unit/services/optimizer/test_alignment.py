@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from covinz.config import OdometryNoise, OptimizerConfig
-from covinz.frames import inverse, rotation_angle
+from covinz.frames import Array, inverse, rotation_angle
+from covinz.types import LoopClosure
 from services.optimizer.alignment import MAX_HYPOTHESES, align_segments
 from services.optimizer.components import Component
+from services.optimizer.odometry_noise import adjoint
 from services.optimizer.pose_graph import noise_of
 from tests.fleets import Fleet, closure, components_of, make_fleet, only_component
 
@@ -47,15 +51,27 @@ def test_the_oldest_segment_is_the_frame() -> None:
     )
 
 
-def test_swapping_query_and_candidate_changes_nothing() -> None:
-    fleet = make_fleet(num_agents=3, wrong_share=0.2)
-    component = only_component(fleet)
-    swapped = tuple(
-        closure(loop.cand, loop.query, inverse(loop.T_cand_query), loop.job_id)
-        for loop in component.loops
-    )
-    a = align_segments(component, NOISE)
-    b = align_segments(Component(component.segments, swapped), NOISE)
+def with_covariance(loop: LoopClosure, covariance: Array) -> LoopClosure:
+    return dataclasses.replace(loop, covariance=0.5 * (covariance + covariance.T))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_swapping_query_and_candidate_changes_nothing(seed: int) -> None:
+    """A covariance is of the query body: said the other way round, it is that of the candidate."""
+    component = only_component(make_fleet(seed, num_agents=3, wrong_share=0.4))
+    rng = np.random.default_rng(seed)
+    loops = [
+        with_covariance(loop, np.diag(rng.uniform(0.01, 0.3, 6) ** 2)) for loop in component.loops
+    ]
+    swapped = [
+        with_covariance(
+            closure(loop.cand, loop.query, inverse(loop.T_cand_query), loop.job_id),
+            adjoint(loop.T_cand_query) @ loop.covariance @ adjoint(loop.T_cand_query).T,
+        )
+        for loop in loops
+    ]
+    a = align_segments(Component(component.segments, tuple(loops)), NOISE)
+    b = align_segments(Component(component.segments, tuple(swapped)), NOISE)
     assert list(a) == list(b)
     for name, T in a.items():
         np.testing.assert_allclose(T, b[name], atol=1e-9)
