@@ -37,11 +37,6 @@ def agent_camera(agent: str) -> str:
     return f"covinz/agent/{agent}/up/camera"
 
 
-def agent_odometry(agent: str) -> str:
-    """Odometry between keyframes: put, may be lost."""
-    return f"covinz/agent/{agent}/up/odometry"
-
-
 def agent_correction(agent: str) -> str:
     """Latest correction of an agent: put, and answers get; optimizer -> agent."""
     return f"covinz/agent/{agent}/down/correction"

@@ -16,7 +16,6 @@ from tests.unit.covinz.messages import agents, hashes, keyframe_ids, names, ulid
 OF_AGENT = [
     keyexprs.agent_keyframe,
     keyexprs.agent_camera,
-    keyexprs.agent_odometry,
     keyexprs.agent_correction,
     keyexprs.agent_alive,
 ]
