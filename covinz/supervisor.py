@@ -77,13 +77,13 @@ def checkout() -> Path:
     return Path(__file__).resolve().parent.parent
 
 
-def child_environment() -> dict[str, str]:
+def child_environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
     """Environment of a child: one thread for linear algebra, unbuffered output.
 
     Settings in the environment are in the configuration file that the child is given, and must
     not replace what was decided after them, e.g. the port of a run.
     """
-    env = {k: v for k, v in os.environ.items() if not k.startswith(ENVIRONMENT_PREFIX)}
+    env = {k: v for k, v in environ.items() if not k.startswith(ENVIRONMENT_PREFIX)}
     env["PYTHONUNBUFFERED"] = "1"
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         env.setdefault(name, "1")

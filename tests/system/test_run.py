@@ -196,11 +196,13 @@ def at_work(folder: Path) -> Json | None:
     return pids if re.search(r"inliers of", worker) else None
 
 
-def until(process: subprocess.Popen[str], look: Callable[[], Json | None]) -> Json:
+def until(process: subprocess.Popen[str] | None, look: Callable[[], Json | None]) -> Json:
+    """What `look` finds, while a process runs that must not end before."""
     deadline = time.monotonic() + PATIENCE_S
     pause = threading.Event()
     while (found := look()) is None:
-        assert process.poll() is None, process.communicate()[0][-3000:]
+        if process is not None:
+            assert process.poll() is None, process.communicate()[0][-3000:]
         assert time.monotonic() < deadline
         pause.wait(0.02)
     return found
@@ -241,7 +243,12 @@ def test_a_user_can_ask_a_live_server(live_server: str, tmp_path: Path) -> None:
         (("run", "nowhere.yaml"), "does not exist"),
         (("run", str(SMALL), "--rate", "1", "--lockstep"), "exclude each other"),
         (("run", str(SMALL), "--profile", "unknown"), "profile"),
-        (("status", "--endpoint", "tcp/127.0.0.1:9"), "tcp/127.0.0.1:9"),
+        (("run", str(SMALL), "--out", "docs"), "docs is not empty"),
+        (("run", str(SMALL), "--out", "README.md"), "cannot make the run folder README.md"),
+        (("status", "--endpoint", "tcp/127.0.0.1:9"), "nobody listens at tcp/127.0.0.1:9"),
+        (("status", "--endpoint", "nonsense"), "not an endpoint: 'nonsense'"),
+        (("eval", "-g", "README.md", "README.md"), "README.md:"),
+        (("up", "--data", "README.md/data"), "README.md/data/server"),
     ],
 )
 def test_a_wrong_call_says_what_is_wrong(arguments: tuple[str, ...], message: str) -> None:
@@ -250,6 +257,73 @@ def test_a_wrong_call_says_what_is_wrong(arguments: tuple[str, ...], message: st
     assert process.returncode != 0
     assert message in " ".join(output.split())
     assert "Traceback" not in output
+
+
+def test_a_scenario_without_its_recording_starts_nothing(tmp_path: Path) -> None:
+    scenario = tmp_path / "recorded.yaml"
+    odometry = {"source": "file", "file": "odometry.tum", "frame": "body"}
+    agent = {"id": "a0", "reader": "tum", "path": str(tmp_path / "gone"), "odometry": odometry}
+    scenario.write_text(yaml.safe_dump({"name": "recorded", "agents": [agent]}))
+    process = covinz("run", str(scenario), "--out", str(tmp_path / "run"))
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert f"there is no recording in {tmp_path / 'gone'}" in output
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_second_server_leaves_the_first_alone(live_server: str, tmp_path: Path) -> None:
+    config_file = tmp_path / "second.yaml"
+    for endpoint, data, message in (
+        (live_server, "other", f"cannot listen on {live_server}"),
+        (f"tcp/127.0.0.1:{free_port()}", "data", "in use by another process"),
+    ):
+        bus = ZenohBus.open(BusConfig(endpoint=live_server))
+        try:
+            client.wait_idle(bus, timeout_s=PATIENCE_S)
+        finally:
+            bus.close()
+        config_file.write_text(yaml.safe_dump({"bus": {"endpoint": endpoint}}))
+        second = covinz("up", "--config", str(config_file), "--data", str(tmp_path / data))
+        output, _ = second.communicate(timeout=60)
+        assert second.returncode == 1
+        assert message in output
+        assert "Traceback" not in output
+    written = yaml.safe_load((tmp_path / "data" / "config.yaml").read_text())
+    assert written["bus"]["endpoint"] == live_server
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_is_stopped_leaves_no_process(number: signal.Signals, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    process = covinz("run", str(SMALL), "--out", str(folder), "--rate", "1")
+    try:
+        pids = until(process, lambda: processes_of(folder) if playing(folder) else None)
+        assert len(pids) >= 6  # five of the server, and the agents
+        process.send_signal(number)
+        # Ends when the last of them has closed it.
+        process.communicate(timeout=PATIENCE_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode != 0
+    until(None, lambda: {} if not processes_of(folder) else None)
+
+
+def playing(folder: Path) -> bool:
+    return any((folder / "spool").glob("*.sqlite"))
+
+
+def processes_of(folder: Path) -> Json:
+    """Command lines of the processes that were told to work in a folder, but for the run itself."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "cmdline").read_bytes().decode().split("\0")
+        except (OSError, UnicodeDecodeError):
+            continue
+        if "covinz.cli" not in words and any(word.startswith(f"{folder}/") for word in words):
+            found[entry.name] = words
+    return found
 
 
 @pytest.mark.data

@@ -169,7 +169,7 @@ def test_public_data_sets_reach_their_known_cost(
     """
     path = DATA / "posegraphs" / "single" / f"{name}.g2o"
     if not path.exists():
-        pytest.skip(f"needs {path}")
+        pytest.skip(f"no recorded data at {path}; COVINZ_DATA may name another folder")
     graph = read_g2o(path)
     result = graph.optimize()
     assert result.converged

@@ -103,6 +103,23 @@ def test_section_that_is_a_value_in_the_file(tmp_path: Path) -> None:
         load(path, {"COVINZ__OPTIMIZER__CAUCHY_SCALE": "2"})
 
 
+def test_every_bad_entry_is_named_in_one_line(tmp_path: Path) -> None:
+    path = write(tmp_path, "bus: {endpint: x}\noptimizer: {cauchy_scale: -1}\n")
+    with pytest.raises(ConfigError) as failure:
+        load(path, {})
+    assert str(failure.value) == (
+        f"{path}: bus.endpint: there is no such setting; "
+        "optimizer.cauchy_scale: Input should be greater than 0"
+    )
+
+
+def test_environment_replaces_single_entries_of_other_values() -> None:
+    values = {"optimizer": {"cauchy_scale": 1.0, "max_iterations": 7}}
+    changed = config.with_environment(values, {"COVINZ__OPTIMIZER__CAUCHY_SCALE": "2", "HOME": "/"})
+    assert changed == {"optimizer": {"cauchy_scale": 2, "max_iterations": 7}}
+    assert values == {"optimizer": {"cauchy_scale": 1.0, "max_iterations": 7}}
+
+
 def test_values_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="frozen"):
         Config().bus.endpoint = "tcp/elsewhere:1"

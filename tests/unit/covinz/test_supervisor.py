@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from covinz.supervisor import ProcessSpec, Supervisor, server_specs
+from covinz.supervisor import ProcessSpec, Supervisor, child_environment, server_specs
 
 # Says that it is up by making a file named after its pid, then waits for a signal.
 CHILD = (
@@ -105,6 +105,14 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
     os.kill(parent, signal.SIGKILL)
     os.waitpid(parent, 0)
     wait_for(lambda: not alive(child))
+
+
+def test_settings_of_the_environment_are_not_inherited() -> None:
+    environment = child_environment(
+        {"COVINZ__BUS__ENDPOINT": "tcp/elsewhere:1", "COVINZ_DATA": "/data"}
+    )
+    assert "COVINZ__BUS__ENDPOINT" not in environment
+    assert environment["COVINZ_DATA"] == "/data"
 
 
 def test_the_server_has_each_service_once_and_the_workers_asked_for(tmp_path: Path) -> None:
