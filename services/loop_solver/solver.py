@@ -67,7 +67,8 @@ def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions
     options.matching.max_ratio = config.matching.max_ratio
     options.matching.max_distance = config.matching.max_hamming
     options.matching.mutual = config.matching.mutual
-    options.pair.max_error_px = options.rig.max_error_px = config.max_error_px
+    for stage in (options.pair, options.rig, options.scale):
+        stage.max_error_px = config.max_error_px
     options.pair.confidence = options.rig.confidence = config.confidence
     options.pair.max_num_iterations = config.max_pair_iterations
     options.rig.max_num_iterations = config.max_rig_iterations

@@ -25,9 +25,9 @@ struct MatchingOptions {
   // Keep a match only if each descriptor is the other's nearest. [the paper says brute force only;
   // without this one keypoint can take part in many matches]
   bool mutual = true;
-  // Largest distance of a match; the default lets every match pass. [the public code uses 40 bits
-  // for ORB and 500 for SIFT, the paper names no limit]
-  double max_distance = 1e9;
+  // Largest distance of a match; the default is for ORB, in bits. [a quarter of the 256 bits; the
+  // public code uses 40 for ORB and 500 for SIFT, the paper names no limit]
+  double max_distance = 64;
 
   void Check() const;  // throws std::invalid_argument
 };

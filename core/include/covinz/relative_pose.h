@@ -17,7 +17,7 @@ struct RelativePoseOptions {
   double max_error_px = 2.0;
   // Stop when a better pose would have been found with this probability.
   double confidence = 0.99;
-  int max_num_iterations = 500;
+  int max_num_iterations = 1000;
 
   void Check() const;  // throws std::invalid_argument
 };
