@@ -44,7 +44,9 @@ class Camera:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "params", frozen_array(self.params, (None,)))
-        object.__setattr__(self, "T_body_cam", frozen_array(self.T_body_cam, (4, 4)))
+        # -0.0 becomes 0.0: it would be another hash, and in the last row it does not travel.
+        T_body_cam = np.asarray(self.T_body_cam, dtype=np.float64) + 0.0
+        object.__setattr__(self, "T_body_cam", frozen_array(T_body_cam, (4, 4)))
 
     @property
     def hash(self) -> str:

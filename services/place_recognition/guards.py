@@ -59,13 +59,13 @@ def eligible(
     """
     mask = np.ones(size, dtype=bool)
     for track in tracks:
-        slots = np.array(track.slots, dtype=np.int64)
         if config.other_agents_only:
-            blocked = np.ones(len(slots), dtype=bool)
+            blocked = np.ones(len(track), dtype=bool)
         elif track.segment == query.segment:
             blocked = _too_near(query.seq, track, config)
         else:
             continue
+        slots = np.array(track.slots, dtype=np.int64)
         mask[slots[blocked & (slots >= 0)]] = False
     return mask
 

@@ -129,6 +129,19 @@ def test_keyframes_reach_the_log_as_they_were_sent(
         assert "duplicates" not in counters
 
 
+def test_a_negative_zero_in_a_calibration_is_a_zero(
+    hub: Hub, bus: InMemoryBus, spool: Path, tmp_path: Path
+) -> None:
+    # The last row of a transform does not travel: its hash must not depend on the sign there.
+    T_body_cam = np.eye(4)
+    T_body_cam[3, :3] = -0.0
+    camera = dataclasses.replace(CAMERA, T_body_cam=T_body_cam)
+    with LocalIngest(hub, tmp_path) as ingest, agent_on(bus, spool) as agent:
+        sent = agent.send(content(0, camera=camera))
+        assert agent.wait_delivered(WAIT_S)
+        assert logged(ingest) == [sent]
+
+
 @pytest.mark.parametrize("lost", ["question", "answer"])
 def test_what_gets_lost_is_sent_again_and_logged_once(
     hub: Hub, spool: Path, tmp_path: Path, lost: str
