@@ -63,7 +63,7 @@ def test_tum_calibration_is_full_opencv_with_the_third_radial_term_in_place(
         ({"model": "RADIAL"}, "PINHOLE"),
         ({"T_body_cam": IDENTITY[:12]}, "16 numbers, got 12"),
         ({"T_body_cam": [2.0, *IDENTITY[1:]]}, "not a rigid transform"),
-        ({"lens": "wide"}, "Extra inputs"),
+        ({"lens": "wide"}, "there is no such setting"),
     ],
 )
 def test_bad_entries_are_named(tmp_path: Path, changes: dict[str, object], message: str) -> None:

@@ -84,10 +84,10 @@ def test_an_agent_takes_what_it_does_not_say_from_the_defaults(tmp_path: Path) -
             "needs groundtruth",
         ),
         ("translation_m: 0.08", "translation_m: 0", "greater than 0"),
-        ("translation_m: 0.08", "translatoin_m: 0.1", "Extra inputs"),
-        ("name: test", "name: test\nspeed: 3", "Extra inputs"),
+        ("translation_m: 0.08", "translatoin_m: 0.1", "there is no such setting"),
+        ("name: test", "name: test\nspeed: 3", "there is no such setting"),
         ("name: test", "name: ''", "at least 1 character"),
-        ("name: test", "name: test\nconfig: {optimizer: {q: 4}}", "Extra inputs"),
+        ("name: test", "name: test\nconfig: {optimizer: {q: 4}}", "there is no such setting"),
     ],
 )
 def test_bad_entries_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
