@@ -108,7 +108,11 @@ def test_a_service_that_fails_exits_with_an_error(
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [("bus: {endpoint: 7}", "endpoint"), ("buss: {}", "buss"), ("bus: {endpoint: x}", "endpoints")],
+    [
+        ("bus: {endpoint: 7}", "endpoint"),
+        ("buss: {}", "buss"),
+        ("bus: {endpoint: x}", "not an endpoint: 'x'"),
+    ],
 )
 def test_an_unusable_configuration_is_said_and_final(
     start_example: Start, config_file: Path, tmp_path: Path, content: str, message: str
