@@ -29,7 +29,7 @@ void BindCamera(nb::module_& m) {
       "model"_a, "params"_a, "keypoints_px"_a, nb::call_guard<nb::gil_scoped_release>(),
       "Unit bearing vectors (N, 3) in the camera frame of raw pixels (N, 2); rows of NaN where no\n"
       "ray projects to the pixel. Models and parameter order are COLMAP's (PINHOLE, OPENCV,\n"
-      "FULL_OPENCV); pixel (0, 0) is the centre of the top-left pixel.\n\n"
+      "FULL_OPENCV, OPENCV_FISHEYE); pixel (0, 0) is the centre of the top-left pixel.\n\n"
       "Raises InvalidCamera for an unknown model or bad parameters.");
   m.def(
       "project_points",

@@ -14,18 +14,21 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Rays further from the axis than this (84 degrees) do not occur in a perspective image.
 constexpr double kMaxRadius = 10.0;
+constexpr double kMaxAngle_rad = 3.14159265358979323846;
 
 size_t NumParams(const std::string& model) {
   if (model == "PINHOLE") return 4;
   if (model == "OPENCV") return 8;
   if (model == "FULL_OPENCV") return 12;
+  if (model == "OPENCV_FISHEYE") return 8;
   throw InvalidCamera("unknown camera model '" + model +
-                      "': expected PINHOLE, OPENCV or FULL_OPENCV");
+                      "': expected PINHOLE, OPENCV, FULL_OPENCV or OPENCV_FISHEYE");
 }
 
 }  // namespace
 
-Camera::Camera(const std::string& model, const std::vector<double>& params) {
+Camera::Camera(const std::string& model, const std::vector<double>& params)
+    : fisheye_(model == "OPENCV_FISHEYE") {
   const size_t num_params = NumParams(model);
   if (params.size() != num_params) {
     throw InvalidCamera("camera model " + model + " has " + std::to_string(num_params) +
@@ -39,27 +42,33 @@ Camera::Camera(const std::string& model, const std::vector<double>& params) {
   }
   focal_px_ = {params[0], params[1]};
   principal_px_ = {params[2], params[3]};
-  if (num_params >= 8) {
-    std::copy_n(&params[4], 2, k_.begin());
+  if (fisheye_) {
+    std::copy_n(&params[4], 4, numerator_.begin());
+  } else if (num_params >= 8) {
+    std::copy_n(&params[4], 2, numerator_.begin());
     std::copy_n(&params[6], 2, p_.begin());
   }
-  if (num_params == 12) std::copy_n(&params[8], 4, k_.begin() + 2);
+  if (num_params == 12) {
+    numerator_[2] = params[8];
+    std::copy_n(&params[9], 3, denominator_.begin());
+  }
   max_radius_ = LargestOneToOneRadius();
 }
 
-double Camera::FocalLength_px() const { return std::sqrt(focal_px_.prod()); }
-
 double Camera::RadialFactor(double r2) const {
-  const double numerator = 1.0 + r2 * (k_[0] + r2 * (k_[1] + r2 * k_[2]));
-  const double denominator = 1.0 + r2 * (k_[3] + r2 * (k_[4] + r2 * k_[5]));
-  return numerator / denominator;
+  const auto& [n1, n2, n3, n4] = numerator_;
+  const auto& [d1, d2, d3] = denominator_;
+  return (1.0 + r2 * (n1 + r2 * (n2 + r2 * (n3 + r2 * n4)))) /
+         (1.0 + r2 * (d1 + r2 * (d2 + r2 * d3)));
 }
 
 double Camera::RadialFactorDerivative(double r2) const {
-  const double numerator = 1.0 + r2 * (k_[0] + r2 * (k_[1] + r2 * k_[2]));
-  const double denominator = 1.0 + r2 * (k_[3] + r2 * (k_[4] + r2 * k_[5]));
-  const double d_numerator = k_[0] + r2 * (2.0 * k_[1] + r2 * 3.0 * k_[2]);
-  const double d_denominator = k_[3] + r2 * (2.0 * k_[4] + r2 * 3.0 * k_[5]);
+  const auto& [n1, n2, n3, n4] = numerator_;
+  const auto& [d1, d2, d3] = denominator_;
+  const double numerator = 1.0 + r2 * (n1 + r2 * (n2 + r2 * (n3 + r2 * n4)));
+  const double denominator = 1.0 + r2 * (d1 + r2 * (d2 + r2 * d3));
+  const double d_numerator = n1 + r2 * (2.0 * n2 + r2 * (3.0 * n3 + r2 * 4.0 * n4));
+  const double d_denominator = d1 + r2 * (2.0 * d2 + r2 * 3.0 * d3);
   return (d_numerator * denominator - numerator * d_denominator) / (denominator * denominator);
 }
 
@@ -67,12 +76,29 @@ double Camera::RadialFactorDerivative(double r2) const {
 // the one beyond the fold is not real.
 double Camera::LargestOneToOneRadius() const {
   constexpr double kStep = 1e-3;
-  for (double r = kStep; r < kMaxRadius; r += kStep) {
+  const double max_radius = fisheye_ ? kMaxAngle_rad : kMaxRadius;
+  for (double r = kStep; r < max_radius; r += kStep) {
     const double r2 = r * r;
     const double slope = RadialFactor(r2) + 2.0 * r2 * RadialFactorDerivative(r2);
     if (!(slope > 0.0 && RadialFactor(r2) > 0.0)) return r - kStep;
   }
-  return kMaxRadius;
+  return max_radius;
+}
+
+Eigen::Vector2d Camera::ToPlane(const Eigen::Vector3d& point_cam) const {
+  if (!fisheye_) {
+    return point_cam.z() > 0.0 ? point_cam.hnormalized() : Eigen::Vector2d(kNaN, kNaN);
+  }
+  const double from_axis = point_cam.head<2>().norm();
+  if (from_axis == 0.0 && point_cam.z() > 0.0) return Eigen::Vector2d::Zero();
+  return std::atan2(from_axis, point_cam.z()) / from_axis * point_cam.head<2>();
+}
+
+Eigen::Vector3d Camera::BearingOf(const Eigen::Vector2d& x) const {
+  if (!fisheye_) return x.homogeneous().normalized();
+  const double angle = x.norm();
+  const double sinc = angle > 0.0 ? std::sin(angle) / angle : 1.0;
+  return Eigen::Vector3d(sinc * x.x(), sinc * x.y(), std::cos(angle)).normalized();
 }
 
 Eigen::Vector2d Camera::Distort(const Eigen::Vector2d& x) const {
@@ -121,8 +147,7 @@ Eigen::Vector2d Camera::Undistort(const Eigen::Vector2d& x_distorted) const {
 }
 
 Eigen::Vector2d Camera::Project(const Eigen::Vector3d& point_cam) const {
-  if (!(point_cam.z() > 0.0)) return {kNaN, kNaN};
-  const Eigen::Vector2d x = point_cam.hnormalized();
+  const Eigen::Vector2d x = ToPlane(point_cam);
   if (!(x.norm() <= max_radius_)) return {kNaN, kNaN};
   return Distort(x).cwiseProduct(focal_px_) + principal_px_;
 }
@@ -130,7 +155,7 @@ Eigen::Vector2d Camera::Project(const Eigen::Vector3d& point_cam) const {
 Eigen::Vector3d Camera::BearingVector(const Eigen::Vector2d& pixel_px) const {
   if (!pixel_px.allFinite()) return Eigen::Vector3d::Constant(kNaN);
   const Eigen::Vector2d x_distorted = (pixel_px - principal_px_).cwiseQuotient(focal_px_);
-  return Undistort(x_distorted).homogeneous().normalized();
+  return BearingOf(Undistort(x_distorted));
 }
 
 Points3 BearingVectors(const Camera& camera, const Points2& pixels_px) {

@@ -30,7 +30,6 @@ TEST(Camera, PinholeKnownValues) {
   const Camera camera("PINHOLE", {500.0, 400.0, 320.0, 240.0});
   EXPECT_TRUE(camera.Project({0.1, -0.2, 2.0}).isApprox(Eigen::Vector2d(345.0, 200.0), 1e-12));
   EXPECT_TRUE(camera.BearingVector({320.0, 240.0}).isApprox(Eigen::Vector3d::UnitZ(), 1e-12));
-  EXPECT_NEAR(camera.FocalLength_px(), std::sqrt(500.0 * 400.0), 1e-12);
 }
 
 TEST(Camera, OpencvKnownValue) {
@@ -46,7 +45,30 @@ TEST(Camera, FullOpencvDenominator) {
   EXPECT_NEAR(camera.Project({0.5, 0.0, 1.0}).x(), 50.0 * 1.05 / 1.1, 1e-12);
 }
 
+TEST(Camera, FisheyeKnownValues) {
+  // By hand: 45 degrees off the axis, a = pi / 4, a_d = a (1 + 0.1 a^2 - 0.02 a^4 + ...).
+  const Camera camera("OPENCV_FISHEYE", {100.0, 200.0, 10.0, 20.0, 0.1, -0.02, 0.003, 0.0004});
+  const double a2 = M_PI * M_PI / 16.0;
+  const double a_d =
+      M_PI / 4.0 *
+      (1.0 + 0.1 * a2 - 0.02 * a2 * a2 + 0.003 * std::pow(a2, 3) + 0.0004 * std::pow(a2, 4));
+  EXPECT_NEAR(camera.Project({3.0, 0.0, 3.0}).x(), 100.0 * a_d + 10.0, 1e-12);
+  EXPECT_NEAR(camera.Project({0.0, -3.0, 3.0}).y(), -200.0 * a_d + 20.0, 1e-12);
+  EXPECT_TRUE(camera.Project({0.0, 0.0, 2.0}).isApprox(Eigen::Vector2d(10.0, 20.0), 1e-12));
+  // Without distortion a right angle is pi / 2 focal lengths from the centre.
+  const Camera ideal("OPENCV_FISHEYE", {100.0, 100.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0});
+  EXPECT_TRUE(ideal.BearingVector({0.0, 50.0 * M_PI}).isApprox(Eigen::Vector3d::UnitY(), 1e-12));
+  EXPECT_NEAR(ideal.BearingVector({200.0, 0.0}).z(), std::cos(2.0), 1e-12);
+  EXPECT_TRUE(ideal.Project({0.0, 0.0, 0.0}).hasNaN());
+  EXPECT_TRUE(ideal.Project({0.0, 0.0, -1.0}).hasNaN());
+  EXPECT_TRUE(ideal.BearingVector({315.0, 0.0}).hasNaN());  // beyond 180 degrees
+}
+
 TEST(Camera, RoundTripOverWholeImages) {
+  // As wide as a tracking camera's: the corners lie behind the image plane.
+  ExpectRoundTrip(
+      Camera("OPENCV_FISHEYE", {286.0, 286.0, 420.0, 402.0, -0.0085, 0.0475, -0.0448, 0.0087}), 848,
+      800);
   ExpectRoundTrip(Freiburg1(), 640, 480);
   ExpectRoundTrip(Camera("OPENCV", {458.654, 457.296, 367.215, 248.375, -0.28340811, 0.07395907,
                                     0.00019359, 1.76187114e-05}),

@@ -10,8 +10,9 @@
 // the twist of SE(3) (there rho is premultiplied by the left Jacobian of theta); the two agree
 // to first order, so Gaussian covariances carry over, but finite residuals do not.
 //
-// An error of an estimate T_est against T_true is Log(T_true^-1 * T_est). Scatter of samples,
-// NEES, edge residuals and the agents' covariances all mean this Log.
+// The difference of T from a reference T_ref is Log(T_ref^-1 * T). The reference is what carries
+// the covariance: the measured relative pose of an edge residual, the estimate of a loop in the
+// scatter of its samples and in its NEES.
 #pragma once
 
 #include <cmath>

@@ -155,7 +155,7 @@ def test_an_unreachable_store_decides_nothing(room: Any) -> None:
 
 
 def bad_cameras(camera: Camera) -> Iterator[Camera]:
-    yield dataclasses.replace(camera, model="OPENCV_FISHEYE", params=camera.params)
+    yield dataclasses.replace(camera, model="EQUIRECTANGULAR", params=camera.params)
     yield dataclasses.replace(camera, params=camera.params[:3])
     yield dataclasses.replace(camera, T_body_cam=2 * np.eye(4))
 
