@@ -215,12 +215,18 @@ def _print_report(report: dict[str, Any]) -> None:
         table.add_row(name, str(agent["keyframes"]), f"{agent['kB_per_s']:.0f}", *errors_m)
     console.print(table)
     loops = report["loops"]
+    wrong = "-" if loops["wrong"] is None else loops["wrong"]
+    maps = "; ".join(" ".join(agents) for agents in report["maps"])
+    _say(f"maps: {len(report['maps'])} ({maps})")
     _say(
-        f"{len(report['maps'])} map(s) {report['maps']}; {loops['accepted']} loops of "
-        f"{loops['candidates']} candidates ({loops['inter']} between agents), "
-        f"wrong: {loops['wrong']}; joint ATE {_metres(report['joint_ate_before_m'])} -> "
-        f"{_metres(report['joint_ate_after_m'])} m; keyframes lost: {report['keyframes_lost']}",
+        f"loops: {loops['accepted']} of {loops['candidates']} candidates, "
+        f"{loops['inter']} between agents, wrong: {wrong}"
     )
+    _say(
+        "joint ATE [m]: each odometry alone "
+        f"{_metres(report['joint_ate_before_m'])}, one map {_metres(report['joint_ate_after_m'])}"
+    )
+    _say(f"keyframes lost: {report['keyframes_lost']}")
 
 
 def _say(text: str) -> None:

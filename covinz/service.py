@@ -23,6 +23,7 @@ from covinz import config as configuration
 from covinz import keyexprs
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError
+from covinz.durable import DurableFileError
 from covinz.telemetry import set_up_logging
 
 logger = logging.getLogger(__name__)
@@ -217,7 +218,7 @@ def serve_on(
             if not inbox.is_stopping:
                 logger.exception("the bus was closed")
                 return 1
-        except BusError as error:
+        except (BusError, DurableFileError) as error:
             logger.error("%s", error)
             return 1
         except Exception:

@@ -12,6 +12,7 @@ import pytest
 from covinz import codec, keyexprs
 from covinz.bus import BusClosed, BusError, Query
 from covinz.config import Config
+from covinz.durable import DurableFileError
 from covinz.memory_bus import Hub, InMemoryBus
 from covinz.service import Context, Inbox, StatusRequest, Stopped, serve_on
 from covinz.types import Status
@@ -236,15 +237,16 @@ def test_a_failing_service_says_why_and_ends_with_an_error(
     assert other.alive(ALIVE) == []
 
 
+@pytest.mark.parametrize("kind", [BusError, DurableFileError])
 def test_an_expected_failure_needs_no_traceback(
-    service: Service, caplog: pytest.LogCaptureFixture
+    service: Service, kind: type[Exception], caplog: pytest.LogCaptureFixture
 ) -> None:
     def run(_: Context) -> None:
-        raise BusError("the port is taken")
+        raise kind("it is in use")
 
     service.start(run)
     assert service.code() == 1
-    assert "the port is taken" in caplog.text and "Traceback" not in caplog.text
+    assert "it is in use" in caplog.text and "Traceback" not in caplog.text
 
 
 def test_returning_unasked_is_an_error_and_returning_when_asked_is_not(service: Service) -> None:
