@@ -224,7 +224,7 @@ def _print_report(report: dict[str, Any]) -> None:
     )
     _say(
         "joint ATE [m]: each odometry alone "
-        f"{_metres(report['joint_ate_before_m'])}, one map {_metres(report['joint_ate_after_m'])}"
+        f"{_metres(report['joint_ate_before_m'])}, maps {_metres(report['joint_ate_after_m'])}"
     )
     _say(f"keyframes lost: {report['keyframes_lost']}")
 
