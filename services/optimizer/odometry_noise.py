@@ -86,6 +86,20 @@ def composed(T_prev_cur: Array, step: Array, num_steps: int) -> Array:
     return total
 
 
+def bounded(covariance: Array) -> Array:
+    """(N, 6, 6) with no variance above `MAX_STEP_VARIANCE` in any direction.
+
+    Motions of kilometres (an odometry that blew up) are levers that make covariances of which
+    nothing is left after rounding. Covariances without such entries are returned as they are.
+    """
+    result = covariance.copy()
+    huge = np.abs(covariance).max(axis=(1, 2), initial=0.0) > MAX_STEP_VARIANCE
+    variances, directions = np.linalg.eigh(covariance[huge])
+    limited = np.clip(variances, 0.0, MAX_STEP_VARIANCE)
+    result[huge] = (directions * limited[:, None, :]) @ directions.swapaxes(1, 2)
+    return result
+
+
 def floor_covariance(noise: OdometryNoise) -> Array:
     """(6, 6) added to every odometry edge: nothing is measured better than this."""
     return np.diag(np.repeat([noise.min_rotation**2, noise.min_translation**2], 3))

@@ -13,6 +13,7 @@ from covinz.frames import Array, inverse
 from covinz.types import KeyframeId
 from services.optimizer.components import Component
 from services.optimizer.odometry_noise import (
+    bounded,
     composed,
     edge_shares,
     floor_covariance,
@@ -115,7 +116,7 @@ def odometry_edges(segment: Segment, noise: OdometryNoise, num_neighbours: int) 
     parts = []
     for span, share in enumerate(edge_shares(len(segment), num_neighbours), start=1):
         rows = np.arange(len(segment) - span, dtype=np.int64)
-        covariance = composed(T_prev_cur, steps, span) + floor
+        covariance = bounded(composed(T_prev_cur, steps, span)) + floor
         information = share[:, None, None] * _inverse_symmetric(covariance)
         parts.append(Edges(rows, rows + span, inverse(T[:-span]) @ T[span:], information))
     return _concatenated(parts)

@@ -157,3 +157,24 @@ def test_any_other_error_is_not_blamed_on_a_loop() -> None:
     component = only_component(make_fleet(length=10))
     with pytest.raises(TypeError):
         run_job((Component(component.segments, component.loops),), 0, CONFIG, defect)
+
+
+@pytest.mark.parametrize(("leap_m", "variance"), [(3e8, None), (1e6, 1e4)])
+def test_odometry_that_blew_up_costs_nobody_a_loop(leap_m: float, variance: float | None) -> None:
+    # Leaps and turns are levers that make covariances of which nothing survives rounding.
+    rng = np.random.default_rng(2)
+    covariance = None if variance is None else np.diag([variance, 0.0, 0.0, 0.0, 0.0, 0.0])
+    wild = []
+    for seq in range(8):
+        T = perturb(rng, np.eye(4), np.repeat([3.0, leap_m], 3))
+        wild.append(dataclasses.replace(keyframe("c", 9, seq, T), covariance=covariance))
+    # On its own the wild segment is a map like any other.
+    (alone,) = components_of(enumerate(wild), [])
+    assert optimise(alone, CONFIG).converged
+    fleet = make_fleet(length=20)
+    bridges = [closure(wild[seq].id, fleet.keyframes[seq].id) for seq in (0, 7)]
+    (component,) = components_of(enumerate([*fleet.keyframes, *wild]), [*fleet.loops, *bridges])
+    done = run_job((component,), 0, CONFIG)
+    assert {fault.job_id for fault in done.faults} <= {loop.job_id for loop in bridges}
+    for estimate in done.estimates:
+        assert np.isfinite(estimate.T_map_body).all()
