@@ -37,9 +37,8 @@ struct Match {
   int cand;
 };
 
-// Brute-force matches, ascending in the query row; of equally near descriptors the first counts as
-// the nearest. A descriptor without a second neighbour cannot pass the ratio test. Throws
-// std::invalid_argument when the descriptors differ in length.
+// Brute-force matches, ascending in the query row. A descriptor without a second neighbour cannot
+// pass the ratio test. Throws std::invalid_argument when the descriptors differ in length.
 //
 // Source: COVINS-G, III-B2 (brute force); Lowe, "Distinctive image features from scale-invariant
 // keypoints", IJCV 2004 (ratio).
