@@ -29,14 +29,11 @@ class Code(enum.StrEnum):
     NO_FEATURES = "no_features"  # without the block of features; an empty block is fine
     TOO_MANY_FEATURES = "too_many_features"  # more than `ingest.max_features`
     KEYPOINT_OUTSIDE = "keypoint_outside"  # a keypoint outside the image of its camera
-    UNSUPPORTED_CAMERA = "unsupported_camera"  # a camera model not in CAMERA_MODELS
     TOO_MANY_CAMERAS = "too_many_cameras"  # more than `ingest.max_cameras_per_agent`
     LONG_REASON = "long_reason"  # a gap whose reason has more than MAX_REASON characters
     CONFLICT = "conflict"  # the log holds something else under this id
 
 
-# Models whose bearing vectors the core computes.
-CAMERA_MODELS = ("PINHOLE", "OPENCV", "FULL_OPENCV")
 # At ten keyframes a second a session reaches this after six years.
 MAX_SEQ = 2**31 - 1
 # Characters of a text that goes into the log or back to the agent.
@@ -96,10 +93,6 @@ def admit_camera(agent: str, payload: bytes) -> AdmittedCamera | Rejected:
         camera = codec.decode(payload, Camera)
     except codec.MalformedMessage as error:
         return rejected(Code.MALFORMED, str(error))
-    if camera.model not in CAMERA_MODELS:
-        return rejected(
-            Code.UNSUPPORTED_CAMERA, f"{camera.model} is none of {', '.join(CAMERA_MODELS)}"
-        )
     return AdmittedCamera(agent, camera, payload)
 
 

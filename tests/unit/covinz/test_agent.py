@@ -200,16 +200,18 @@ def test_a_refused_keyframe_is_reported_once_and_declared_as_a_gap(
 def test_a_refused_camera_refuses_its_keyframes_only(
     hub: Hub, bus: InMemoryBus, spool: Path, tmp_path: Path
 ) -> None:
-    fisheye = dataclasses.replace(CAMERA, model="OPENCV_FISHEYE", params=np.ones(8))
+    another = dataclasses.replace(CAMERA, params=2 * CAMERA.params)
     refused: list[KeyframeId] = []
     with (
-        LocalIngest(hub, tmp_path) as ingest,
+        LocalIngest(hub, tmp_path, IngestConfig(max_cameras_per_agent=1)) as ingest,
         agent_on(bus, spool, on_rejected=lambda name, _: refused.append(name)) as agent,
     ):
-        bad = agent.send(content(0, camera=fisheye))
-        good = agent.send(content(1))
+        before = agent.send(content(0))
         assert agent.wait_delivered(WAIT_S)
-        assert logged(ingest) == [good]
+        bad = agent.send(content(1, camera=another))
+        after = agent.send(content(2))
+        assert agent.wait_delivered(WAIT_S)
+        assert logged(ingest) == [before, after]
         assert refused == [bad]
 
 
