@@ -10,10 +10,7 @@ import numpy as np
 from covinz import frames
 from covinz.config import ConfigError, PositiveInt, Section, read_yaml, validate
 from covinz.trajectory import TrajectoryError, table
-from covinz.types import Array, Camera
-
-# COLMAP's camera models and how many parameters each has.
-NUM_PARAMS = {"PINHOLE": 4, "OPENCV": 8, "FULL_OPENCV": 12, "OPENCV_FISHEYE": 8}
+from covinz.types import NUM_CAMERA_PARAMS, Array, Camera
 
 
 class CalibrationFile(Section):
@@ -49,8 +46,10 @@ def read_camera(path: Path, image_size: tuple[int, int]) -> Camera:
             f"{path}: the calibration is for {entries.width} x {entries.height} pixels, "
             f"the images have {image_size[0]} x {image_size[1]}"
         )
-    if len(entries.params) != NUM_PARAMS[entries.model]:
-        raise ConfigError(f"{path}: {entries.model} has {NUM_PARAMS[entries.model]} parameters")
+    if len(entries.params) != NUM_CAMERA_PARAMS[entries.model]:
+        raise ConfigError(
+            f"{path}: {entries.model} has {NUM_CAMERA_PARAMS[entries.model]} parameters"
+        )
     return Camera(
         entries.model,
         entries.width,

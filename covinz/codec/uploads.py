@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from covinz.codec import poses, values
 from covinz.codec.reader import Fields
 from covinz.types import (
+    NUM_CAMERA_PARAMS,
     Camera,
     Duplicate,
     Features,
@@ -23,8 +24,6 @@ from covinz.types import (
     UploadReply,
 )
 
-# Number of parameters of COLMAP's camera models that covinz knows.
-NUM_PARAMS: Final = {"PINHOLE": 4, "OPENCV": 8, "FULL_OPENCV": 12, "OPENCV_FISHEYE": 8}
 MAX_IMAGE_PX: Final = 4096
 MAX_PARAM: Final = 1e9
 KEYPOINT_UNITS_PER_PX: Final = 16
@@ -59,9 +58,9 @@ def camera(fields: Fields) -> Camera:
 
 
 def _params(model: str, params: NDArray[Any]) -> NDArray[Any]:
-    if model not in NUM_PARAMS:
-        raise ValueError(f"model: {model!r} is none of {', '.join(NUM_PARAMS)}")
-    array = values.numbers(params, "params", NUM_PARAMS[model], MAX_PARAM)
+    if model not in NUM_CAMERA_PARAMS:
+        raise ValueError(f"model: {model!r} is none of {', '.join(NUM_CAMERA_PARAMS)}")
+    array = values.numbers(params, "params", NUM_CAMERA_PARAMS[model], MAX_PARAM)
     if not (array[0] > 0 and array[1] > 0):
         raise ValueError("params: a focal length is not above 0")
     return array

@@ -15,7 +15,15 @@ from covinz.types.identity import (
     SegmentId,
     frozen_array,
 )
-from covinz.types.keyframe import Camera, Features, FeatureType, Gap, Keyframe, KeyframeContent
+from covinz.types.keyframe import (
+    NUM_CAMERA_PARAMS,
+    Camera,
+    Features,
+    FeatureType,
+    Gap,
+    Keyframe,
+    KeyframeContent,
+)
 from covinz.types.log import LogEntry, LogHead, LogPage, LogRange, LogView
 from covinz.types.loop import (
     JobDone,
@@ -37,6 +45,7 @@ from covinz.types.upload import Duplicate, NeedCamera, Rejected, RetryAfter, Sto
 
 __all__ = [
     "AGENT_PATTERN",
+    "NUM_CAMERA_PARAMS",
     "ULID_PATTERN",
     "Array",
     "Camera",

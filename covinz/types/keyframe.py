@@ -5,11 +5,15 @@ from __future__ import annotations
 import enum
 import hashlib
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from covinz.types.identity import Array, KeyframeId, frozen_array
+
+# COLMAP's camera models that covinz knows, and how many parameters each has.
+NUM_CAMERA_PARAMS: Final = {"PINHOLE": 4, "OPENCV": 8, "FULL_OPENCV": 12, "OPENCV_FISHEYE": 8}
 
 
 class FeatureType(enum.Enum):

@@ -6,12 +6,12 @@ import covinz_core
 import numpy as np
 import pytest
 
-from covinz.codec.uploads import NUM_PARAMS
+from covinz.types import NUM_CAMERA_PARAMS
 
 
-@pytest.mark.parametrize("model", sorted(NUM_PARAMS))
+@pytest.mark.parametrize("model", sorted(NUM_CAMERA_PARAMS))
 def test_the_core_knows_every_model(model: str) -> None:
-    params = [400.0, 410.0, 320.0, 240.0] + [0.0] * (NUM_PARAMS[model] - 4)
+    params = [400.0, 410.0, 320.0, 240.0] + [0.0] * (NUM_CAMERA_PARAMS[model] - 4)
     corners_px = np.array([[320.0, 240.0], [0.0, 0.0], [639.0, 479.0]])
     bearings = covinz_core.bearing_vectors(model, params, corners_px)
     np.testing.assert_allclose(bearings[0], [0.0, 0.0, 1.0], atol=1e-12)
