@@ -133,9 +133,10 @@ def play(
             _play_in_lockstep(robots, patience, report)
         else:
             _play_together(robots, options.rate, patience, report)
-        while any(robot.agent.pending for robot in robots):
+        # Looked at once a round: what is pending shrinks while we look.
+        while unfinished := [robot for robot in robots if robot.agent.pending]:
             patience.check()
-            next(r for r in robots if r.agent.pending).agent.wait_delivered(_TICK_S)
+            unfinished[0].agent.wait_delivered(_TICK_S)
             report(robots)
         report(robots)
         return _summary(scenario, options, robots)
