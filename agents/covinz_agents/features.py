@@ -24,7 +24,9 @@ _EDGE_PX = 19
 # A cell is divided into so many parts a side, which take turns in giving their best corner.
 _PARTS = 4
 # Weak corners are chosen so many times more rarely: they cover the image, but match badly (at
-# equal terms they cost a fifth of the pairs of redkitchen views with 30 or more inliers).
+# equal terms they cost a fifth of the pairs of redkitchen views with 30 or more inliers). Chosen
+# on that scene, by its true poses; at equal terms (1) its lockstep run has 143 loops, 4 of them
+# wrong, instead of 144 and 1.
 _WEAK_TURNS = 4
 
 
