@@ -20,7 +20,7 @@ from covinz.scenario import (
     SimulatedAgent,
     TumAgent,
     World,
-    simulated_groundtruth_file,
+    generated_groundtruth_file,
 )
 from covinz.trajectory import write_tum
 from covinz.types import Keyframe, KeyframeContent, KeyframeId, Rejected
@@ -153,7 +153,7 @@ def _open(
         session = lockstep_session(scenario.name, agent.id, keyframes[0].stamp_ns)
     if isinstance(agent, SimulatedAgent) and source.groundtruth is not None:
         options.results.mkdir(parents=True, exist_ok=True)
-        path = simulated_groundtruth_file(agent.id, options.results)
+        path = generated_groundtruth_file(agent.id, options.results)
         write_tum(path, source.groundtruth, f"exact T_world_body of {agent.id}")
     rejected: list[KeyframeId] = []
 

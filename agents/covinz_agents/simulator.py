@@ -14,8 +14,8 @@ from covinz.scenario import SimulatedAgent, Walk, World
 from covinz.trajectory import Trajectory
 from covinz.types import Array, Camera, Features, FeatureType
 from covinz_agents.drift import drifting_odometry, seed_of
+from covinz_agents.landmarks import Hall, build_hall, detect, recognisable, unhidden
 from covinz_agents.source import Frame
-from covinz_agents.world import Hall, build_hall, detect, recognisable, unhidden
 
 # The simulation starts at this time. [ns since the Unix epoch]
 START_NS = 1_700_000_000_000_000_000

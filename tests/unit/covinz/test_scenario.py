@@ -15,9 +15,9 @@ from covinz.scenario import (
     Scenario,
     SimulatedAgent,
     TumAgent,
+    generated_groundtruth_file,
     groundtruth,
     load_scenario,
-    simulated_groundtruth_file,
 )
 from covinz.trajectory import Trajectory, write_tum
 
@@ -154,7 +154,7 @@ def test_groundtruth_of_a_camera_becomes_that_of_the_body(tmp_path: Path) -> Non
 def test_groundtruth_of_a_simulated_agent_is_what_the_player_left(tmp_path: Path) -> None:
     scenario = load(tmp_path, "name: s\nagents: [{id: s0, reader: simulated}]")
     left = Trajectory(np.array([7]), np.eye(4)[None])
-    write_tum(simulated_groundtruth_file("s0", tmp_path), left)
+    write_tum(generated_groundtruth_file("s0", tmp_path), left)
     read = groundtruth(scenario, "s0", tmp_path)
     assert read is not None
     assert read.stamps_ns.tolist() == [7]

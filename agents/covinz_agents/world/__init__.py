@@ -1,0 +1,1 @@
+"""Generated worlds: geometry, textures, light, and the camera that looks at them."""
