@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from covinz_agents import simulator, world
+from covinz_agents import landmarks, simulator
 from covinz_agents.simulator import CAMERA, T_BODY_CAM, SimulatedRobot
 from numpy.typing import NDArray
 
@@ -123,7 +123,7 @@ def test_two_robots_that_look_at_the_same_wall_recognise_it() -> None:
 
 
 def test_descriptors_differ_more_the_more_the_view_differs() -> None:
-    hall = world.build_hall(NOISELESS)
+    hall = landmarks.build_hall(NOISELESS)
     rng = np.random.default_rng(2)
     wall = np.flatnonzero(hall.landmarks.normals[:, 1] == -1.0)
     center = np.array([0.0, 0.0, 1.5])
@@ -132,7 +132,7 @@ def test_descriptors_differ_more_the_more_the_view_differs() -> None:
     some = wall[own]
 
     def mean_distance(position_m: Array) -> float:
-        seen = [world.detect(hall, some, p, len(some), rng) for p in (center, position_m)]
+        seen = [landmarks.detect(hall, some, p, len(some), rng) for p in (center, position_m)]
         both = np.intersect1d(seen[0][0], seen[1][0])
         bits = [np.unpackbits(d[np.searchsorted(indices, both)], axis=1) for indices, d in seen]
         return float(np.mean(np.sum(bits[0] != bits[1], axis=1)))
@@ -144,7 +144,7 @@ def test_descriptors_differ_more_the_more_the_view_differs() -> None:
 
 
 def test_an_object_hides_what_is_behind_it_and_nothing_else() -> None:
-    box = world.Box(np.array([1.0, -1.0, -1.0]), np.array([2.0, 1.0, 1.0]))
+    box = landmarks.Box(np.array([1.0, -1.0, -1.0]), np.array([2.0, 1.0, 1.0]))
     ends = np.array(
         [
             [4.0, 0.0, 0.0],  # behind
@@ -156,14 +156,14 @@ def test_an_object_hides_what_is_behind_it_and_nothing_else() -> None:
             [0.0, 0.0, 4.0],  # parallel to a face
         ]
     )
-    hidden = world._hidden_by(box, np.zeros(3), ends)
+    hidden = landmarks._hidden_by(box, np.zeros(3), ends)
     assert hidden.tolist() == [True, True, False, False, False, False, False]
 
 
 def test_every_landmark_in_view_is_in_front_and_unobstructed() -> None:
-    hall = world.build_hall(HALL)
+    hall = landmarks.build_hall(HALL)
     position = np.array([0.5, -0.3, 1.5])
-    seen = world.unhidden(hall, world.recognisable(hall, position), position)
+    seen = landmarks.unhidden(hall, landmarks.recognisable(hall, position), position)
     assert 0 < len(seen) < len(hall.landmarks.strength)
     to_eye = position - hall.landmarks.positions_m[seen]
     assert np.all(np.sum(to_eye * hall.landmarks.normals[seen], axis=1) > 0)
