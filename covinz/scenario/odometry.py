@@ -13,17 +13,24 @@ PoseFrame = Literal["body", "camera"]
 
 
 class Drift(Section):
-    """Random walk added to true motion, so that it drifts like odometry; zero adds nothing."""
+    """Random walk added to true motion, so that it drifts like odometry; zero adds nothing.
 
-    # Rotation per square root of metre travelled. [rad / sqrt(m)]
-    rotation_per_sqrt_m: NonNegative = 0.01
-    # Rotation per square root of radian turned. [rad / sqrt(rad)]
-    rotation_per_sqrt_rad: NonNegative = 0.02
-    # Translation per square root of metre travelled. [m / sqrt(m)]
-    translation_per_sqrt_m: NonNegative = 0.03
-    # Translation per square root of radian turned. [m / sqrt(rad)]
-    translation_per_sqrt_rad: NonNegative = 0.03
-    # Seed of the random walk; agents with the same seed still drift differently.
+    The sigmas are per axis, after one metre or one radian; variances add up, so that after 100 m
+    they are ten times those after one. The defaults are good visual-inertial odometry.
+    """
+
+    # Rotation per square root of metre travelled: 0.1 degrees. [rad / sqrt(m)]
+    rotation_per_sqrt_m: NonNegative = 0.001745
+    # Rotation per square root of radian turned: 0.1 degrees, a scale error of 0.2 %, as gyroscopes
+    # of this class have. [rad / sqrt(rad)]
+    rotation_per_sqrt_rad: NonNegative = 0.001745
+    # Translation per square root of metre travelled: 1 %. [m / sqrt(m)]
+    translation_per_sqrt_m: NonNegative = 0.01
+    # Translation per square root of radian turned: what a lever of 0.5 m from body to camera makes
+    # of the same error. [m / sqrt(rad)]
+    translation_per_sqrt_rad: NonNegative = 0.001
+    # Seed of the random walk, with that of the scenario; agents with the same seed still drift
+    # differently.
     seed: Count = 0
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from covinz.frames import Array, inverse
+from covinz.frames import Array, adjoint, inverse
 from covinz.types import LoopClosure, SegmentId
 from services.optimizer.components import Component
-from services.optimizer.odometry_noise import adjoint, step_covariances
+from services.optimizer.odometry_noise import step_covariances
 from services.optimizer.pose_graph import NoiseOf
 from services.optimizer.segments import Segment
 

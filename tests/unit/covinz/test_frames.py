@@ -160,3 +160,12 @@ def test_rigid() -> None:
 def test_transform_broadcasts() -> None:
     T = frames.transform(np.eye(3), np.zeros((5, 3)))
     np.testing.assert_array_equal(T, np.broadcast_to(np.eye(4), (5, 4, 4)))
+
+
+def test_adjoint_carries_a_perturbation_through_a_transform() -> None:
+    rng = np.random.default_rng(1)
+    T = frames.transform(frames.so3_exp(rng.normal(size=(5, 3))), 3.0 * rng.normal(size=(5, 3)))
+    xi = 1e-6 * rng.normal(size=(5, 6))
+    through = T @ frames.transform(frames.so3_exp(xi[:, :3]), xi[:, 3:]) @ frames.inverse(T)
+    expected = np.einsum("nij,nj->ni", frames.adjoint(T), xi)
+    np.testing.assert_allclose(frames.local_error(np.eye(4)[None], through), expected, atol=1e-10)

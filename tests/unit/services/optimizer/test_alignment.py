@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from covinz.config import OdometryNoise, OptimizerConfig
-from covinz.frames import Array, inverse, rotation_angle
+from covinz.frames import Array, adjoint, inverse, rotation_angle
 from covinz.types import LoopClosure
 from services.optimizer.alignment import MAX_HYPOTHESES, align_segments
 from services.optimizer.components import Component
-from services.optimizer.odometry_noise import adjoint
 from services.optimizer.pose_graph import noise_of
 from tests.fleets import Fleet, closure, components_of, make_fleet, only_component
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from covinz.config import OdometryNoise
-from covinz.frames import Array, inverse, local_error, so3_exp, transform
+from covinz.frames import Array, local_error, so3_exp, transform
 from services.optimizer.odometry_noise import (
     MAX_STEP_VARIANCE,
-    adjoint,
     composed,
     edge_shares,
     step_covariances,
@@ -49,15 +48,6 @@ def segment_of(
             kf = dataclasses.replace(kf, covariance=covariances[row])
         segment.add(row, kf)
     return segment.frozen()
-
-
-def test_adjoint_carries_a_perturbation_through_a_transform() -> None:
-    rng = np.random.default_rng(1)
-    T = random_transforms(rng, 5)
-    xi = 1e-6 * rng.normal(size=(5, 6))
-    through = T @ transform(so3_exp(xi[:, :3]), xi[:, 3:]) @ inverse(T)
-    expected = np.einsum("nij,nj->ni", adjoint(T), xi)
-    np.testing.assert_allclose(local_error(np.eye(4)[None], through), expected, atol=1e-10)
 
 
 @pytest.mark.parametrize("num_steps", [1, 2, 4])
