@@ -16,6 +16,7 @@ from covinz import codec
 from covinz.agent import Agent
 from covinz.config import Config, validate
 from covinz.scenario import (
+    AslAgent,
     Scenario,
     SimulatedAgent,
     TumAgent,
@@ -25,6 +26,7 @@ from covinz.scenario import (
 from covinz.trajectory import write_tum
 from covinz.types import Keyframe, KeyframeContent, KeyframeId, Rejected
 from covinz.ulid import ulid
+from covinz_agents.asl import AslRecording
 from covinz_agents.drift import seed_of
 from covinz_agents.selection import select_keyframes
 from covinz_agents.simulator import SimulatedRobot
@@ -96,9 +98,15 @@ class Robot:
 Report = Callable[[Sequence[Robot]], None]
 
 
-def open_source(agent: TumAgent | SimulatedAgent, world: World) -> Source:
+def open_source(agent: TumAgent | AslAgent | SimulatedAgent, world: World) -> Source:
     """The recording or simulation of an agent; errors as those classes raise."""
-    return TumRecording(agent) if isinstance(agent, TumAgent) else SimulatedRobot(agent, world)
+    match agent:
+        case TumAgent():
+            return TumRecording(agent)
+        case AslAgent():
+            return AslRecording(agent)
+        case SimulatedAgent():
+            return SimulatedRobot(agent, world)
 
 
 def lockstep_session(scenario: str, agent_id: str, first_stamp_ns: int) -> str:
@@ -143,7 +151,10 @@ def play(
 
 
 def _open(
-    agent: TumAgent | SimulatedAgent, scenario: Scenario, options: PlayOptions, stack: ExitStack
+    agent: TumAgent | AslAgent | SimulatedAgent,
+    scenario: Scenario,
+    options: PlayOptions,
+    stack: ExitStack,
 ) -> Robot:
     source = open_source(agent, scenario.world)
     keyframes = select_keyframes(source.frames, agent.keyframes)

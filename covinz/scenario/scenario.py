@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from covinz.config import Config, ConfigError, Count, Section, merge, read_yaml, validate
-from covinz.scenario.recordings import TumAgent, recorded_groundtruth
+from covinz.scenario.recordings import AslAgent, TumAgent, recorded_groundtruth
 from covinz.scenario.rendered import RenderedAgent
 from covinz.scenario.scenes import Scene
 from covinz.scenario.simulated import SimulatedAgent, World
@@ -24,7 +24,7 @@ from covinz.trajectory import Trajectory, read_tum
 
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^}]*))?\}")
 
-Agent = Annotated[TumAgent | SimulatedAgent, Field(discriminator="reader")]
+Agent = Annotated[TumAgent | AslAgent | SimulatedAgent, Field(discriminator="reader")]
 
 
 class Scenario(Section):
