@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import logging
 import signal
+import socket
 import sys
 import threading
 import time
@@ -168,7 +169,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     # code is ever interrupted half-way by a signal handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
     arguments = _arguments(name)
-    set_up_logging(name, arguments.id)
+    set_up_logging(name, instance_name(arguments.id))
     try:
         config = configuration.load(arguments.config)
         arguments.data.mkdir(parents=True, exist_ok=True)
@@ -178,7 +179,8 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
         sys.exit(2)
     with contextlib.ExitStack() as stack:
         stack.callback(bus.close)
-        code = serve_on(bus, name, arguments.id, config, arguments.data, run, _stop_on_signal)
+        instance = instance_name(arguments.id)
+        code = serve_on(bus, name, instance, config, arguments.data, run, _stop_on_signal)
     logging.shutdown()
     sys.exit(code)
 
@@ -231,13 +233,20 @@ def serve_on(
         return 0
 
 
+def instance_name(text: str) -> str:
+    """The name of a process: ``{host}`` stands for this machine's, or container's, own name."""
+    return text.replace("{host}", socket.gethostname())
+
+
 def _arguments(name: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"python -m services.{name}")
     parser.add_argument("--config", type=Path, metavar="FILE", help="YAML; default: defaults")
     parser.add_argument(
         "--data", type=Path, metavar="DIR", default=Path("data"), help="folder for durable files"
     )
-    parser.add_argument("--id", metavar="NAME", default=name, help="which one of several")
+    parser.add_argument(
+        "--id", metavar="NAME", default=name, help="which one of several; {host}: this machine's"
+    )
     return parser.parse_args()
 
 
