@@ -18,7 +18,7 @@ from covinz_agents.tum import TumRecording
 
 from covinz import codec, frames
 from covinz.config import ConfigError, KeyframeSelectionConfig, validate
-from covinz.scenario import AslAgent, TumAgent
+from covinz.scenario import AslAgent, TumAgent, load_scenario
 from covinz.trajectory import Trajectory, TrajectoryError, format_stamp_ns, read_tum, write_tum
 from covinz.types import Camera, Keyframe, KeyframeId
 from tests.recordings import CAMERAS, START_NS, STEP_NS, T_BODY_CAM, RoomRobot
@@ -26,6 +26,7 @@ from tests.uploads import SESSION
 
 FILE = {"source": "file", "file": "odometry.tum", "frame": "body"}
 DRIFT = {"source": "groundtruth_drift", "drift": {"seed": 3}}
+SCENARIOS = Path(__file__).resolve().parents[3] / "scenarios"
 SELECTION = KeyframeSelectionConfig(translation_m=0.2, rotation_rad=0.2)
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
@@ -443,3 +444,15 @@ def test_two_images_of_one_time_are_an_error(folder: Path) -> None:
 
 def test_the_robots_extrinsics_survive_bit_by_bit(folder: Path) -> None:
     assert AslRecording(asl_agent(folder)).camera.T_body_cam.tobytes() == T_BODY_CAM.tobytes()
+
+
+def test_the_euroc_scenario_plays_recordings_where_it_says(tmp_path: Path) -> None:
+    scenario = load_scenario(SCENARIOS / "euroc.yaml", {"EUROC": str(tmp_path)})
+    for agent, name in zip(
+        scenario.agents, ("MH_01_easy", "MH_02_easy", "MH_03_medium"), strict=True
+    ):
+        assert isinstance(agent, AslAgent)
+        write_asl(tmp_path / name, RoomRobot(num_frames=2))
+        recording = AslRecording(agent)
+        assert len(recording.frames) == 2
+        assert recording.groundtruth is not None
