@@ -10,7 +10,7 @@ import numpy as np
 
 from covinz import g2o
 from covinz.trajectory import Trajectory, write_tum
-from covinz.types import MapSnapshot
+from covinz.types import Array, MapSnapshot
 
 
 def trajectories(
@@ -18,22 +18,25 @@ def trajectories(
 ) -> dict[str, Trajectory]:
     """One trajectory per agent, in stamp order.
 
+    Where an agent has several keyframes of one time (a recording played again, a clock set back)
+    the one of its newest session counts, and in a session the last.
+
     Args:
         snapshots: Maps; an agent's segments may lie in several, then its poses are in the frames
             of those maps.
         odometry: Take the poses as the agent sent them instead of the optimised ones.
     """
-    rows: dict[str, list[tuple[int, np.ndarray]]] = defaultdict(list)
+    rows: dict[str, list[tuple[int, str, int, Array]]] = defaultdict(list)
     for snapshot in snapshots:
         poses = snapshot.T_odom_body if odometry else snapshot.T_map_body
         for keyframe, stamp, T in zip(snapshot.keyframes, snapshot.stamps_ns, poses, strict=True):
-            rows[keyframe.agent].append((int(stamp), T))
+            rows[keyframe.agent].append((int(stamp), keyframe.session, keyframe.seq, T))
     made = {}
     for agent, items in sorted(rows.items()):
-        items.sort(key=lambda item: item[0])
-        made[agent] = Trajectory(
-            np.array([stamp for stamp, _ in items], dtype=np.int64), np.stack([T for _, T in items])
-        )
+        items.sort(key=lambda item: item[:3])
+        last = {stamp: T for stamp, _, _, T in items}
+        stamps_ns = np.array(list(last), dtype=np.int64)
+        made[agent] = Trajectory(stamps_ns, np.stack(list(last.values())))
     return made
 
 
