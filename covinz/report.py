@@ -2,62 +2,34 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from covinz import client, evaluation, export, frames, picture
-from covinz.bus import Bus
+from covinz import evaluation, export
 from covinz.evaluation import PosePairs
-from covinz.scenario import Scenario, groundtruth
+from covinz.loop_edges import beyond_limits, loop_edges
+from covinz.record import RunRecord
 from covinz.trajectory import Trajectory
-from covinz.types import Array, JobRecord, KeyframeId, LoopClosure, MapSnapshot, Rejection
-
-# A loop is wrong when it is off by more than either.
-WRONG_M = 0.3
-WRONG_RAD = float(np.deg2rad(8.0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunRecord:
-    """What was left to evaluate when the server became idle.
-
-    Attributes:
-        snapshots: Every map, oldest first.
-        jobs: Every job with its outcome.
-        played: The player's summary: per agent session, keyframes, bytes, duration_s.
-        groundtruth: True body poses by agent, for those that have any.
-        server_s: From the first keyframe until the server was idle.
-    """
-
-    snapshots: Sequence[MapSnapshot]
-    jobs: Sequence[JobRecord]
-    played: Mapping[str, Any]
-    groundtruth: Mapping[str, Trajectory]
-    server_s: float
-
-
-def collect(
-    bus: Bus, scenario: Scenario, played: Mapping[str, Any], folder: Path, server_s: float
-) -> RunRecord:
-    """Ask an idle server for everything that a report needs."""
-    truths = {agent.id: groundtruth(scenario, agent.id, folder) for agent in scenario.agents}
-    return RunRecord(
-        client.snapshots(bus),
-        list(client.jobs(bus)),
-        played,
-        {agent: truth for agent, truth in truths.items() if truth is not None},
-        server_s,
-    )
+from covinz.types import JobRecord, LoopClosure, Rejection
 
 
 def build(record: RunRecord) -> dict[str, Any]:
-    """The report as JSON-ready values; a figure without ground truth is None."""
+    """The report as JSON-ready values; a figure without ground truth is None.
+
+    What needs more than its name:
+
+    - ``agents.*.path_m``: length of the odometry between keyframes.
+    - ``joint_ate_before_m``: every odometry aligned on its own; ``joint_ate_after_m``: one
+      alignment for each map.
+    - ``loops.wrong``: off the truth by more than `loop_edges.WRONG_M` or `WRONG_RAD`.
+    - ``loops.wrong_effective``: wrong ones that the robust loss left more than half their weight
+      in the optimised map (`loop_edges.robust_weights`).
+    - ``loops.wrong_bending``: effective ones whose two ends are wrong in the map too, relative to
+      each other and by the same limits: the loop got its way, the map is bent there.
+    """
     before = _pairs(record, export.trajectories(record.snapshots, odometry=True))
     after = _pairs(record, export.trajectories(record.snapshots))
     in_maps = Counter(kf.agent for snapshot in record.snapshots for kf in snapshot.keyframes)
@@ -66,10 +38,13 @@ def build(record: RunRecord) -> dict[str, Any]:
         agent: item["bytes"] / 1000 / item["duration_s"] if item["duration_s"] > 0 else 0.0
         for agent, item in record.played.items()
     }
+    paths_m = _path_lengths(record)
     return {
+        "scenario": record.name,
         "agents": {
             agent: {
                 "keyframes": sent[agent],
+                "path_m": round(paths_m.get(agent, 0.0), 2),
                 "bytes": int(item["bytes"]),
                 "kB_per_s": round(rates[agent], 1),
                 "ate_before_m": _ate(before, agent),
@@ -113,9 +88,12 @@ def loop_figures(record: RunRecord) -> dict[str, Any]:
 
 
 def _loop_errors(record: RunRecord, loops: Sequence[LoopClosure]) -> dict[str, Any]:
-    truth = _true_poses(record)
+    truth = record.true_poses()
     known = [loop for loop in loops if loop.query in truth and loop.cand in truth]
-    empty = ("wrong", "t_err_median_m", "r_err_median_deg", "nees_mean", "nees_median")
+    empty = (
+        *("wrong", "wrong_effective", "wrong_bending", "t_err_median_m", "r_err_median_deg"),
+        *("t_err_max_m", "r_err_max_deg", "nees_mean", "nees_median"),
+    )
     if not known:
         return {"with_groundtruth": 0, **dict.fromkeys(empty)}
     T_est = np.stack([loop.T_cand_query for loop in known])
@@ -124,28 +102,21 @@ def _loop_errors(record: RunRecord, loops: Sequence[LoopClosure]) -> dict[str, A
         np.stack([truth[loop.query] for loop in known]),
     )
     errors = evaluation.relative_errors(T_true, T_est)
-    wrong = (errors.translation_m > WRONG_M) | (errors.rotation_rad > WRONG_RAD)
+    turned_deg = np.rad2deg(errors.rotation_rad)
     nees = evaluation.nees(T_true, T_est, np.stack([loop.covariance for loop in known]))
+    edges = [loop_edges(found, truth, record.cauchy_scale) for found in record.snapshots]
     figures = (
-        int(wrong.sum()),
+        int(beyond_limits(errors).sum()),
+        sum(int(found.effective.sum()) for found in edges),
+        sum(int(found.bending.sum()) for found in edges),
         round(float(np.median(errors.translation_m)), 4),
-        round(float(np.rad2deg(np.median(errors.rotation_rad))), 3),
+        round(float(np.median(turned_deg)), 3),
+        round(float(errors.translation_m.max()), 4),
+        round(float(turned_deg.max()), 3),
         round(float(nees.mean()), 2),
         round(float(np.median(nees)), 2),
     )
     return {"with_groundtruth": len(known), **dict(zip(empty, figures, strict=True))}
-
-
-def _true_poses(record: RunRecord) -> dict[KeyframeId, Array]:
-    """True T_world_body of every keyframe that has ground truth."""
-    poses = {}
-    for snapshot in record.snapshots:
-        for keyframe, stamp in zip(snapshot.keyframes, snapshot.stamps_ns, strict=True):
-            truth = record.groundtruth.get(keyframe.agent)
-            T = truth.at(int(stamp), evaluation.MAX_GAP_NS) if truth is not None else None
-            if T is not None:
-                poses[keyframe] = T
-    return poses
 
 
 def _pairs(record: RunRecord, found: Mapping[str, Trajectory]) -> dict[str, PosePairs]:
@@ -168,6 +139,18 @@ def _joint_after(record: RunRecord) -> float | None:
     return round(evaluation.rmse(np.concatenate(errors)), 4) if errors else None
 
 
+def _path_lengths(record: RunRecord) -> dict[str, float]:
+    """Metres of odometry from keyframe to keyframe, by agent."""
+    lengths: dict[str, float] = defaultdict(float)
+    for snapshot in record.snapshots:
+        for segment in snapshot.summary.segments:
+            index = [i for i, kf in enumerate(snapshot.keyframes) if kf.segment == segment]
+            index.sort(key=lambda i: snapshot.keyframes[i].seq)
+            steps = np.diff(snapshot.T_odom_body[index, :3, 3], axis=0)
+            lengths[segment.agent] += float(np.linalg.norm(steps, axis=1).sum())
+    return dict(lengths)
+
+
 def _ate(pairs: Mapping[str, PosePairs], agent: str) -> float | None:
     return round(evaluation.ate_m(pairs[agent]), 4) if agent in pairs else None
 
@@ -182,44 +165,3 @@ def _solver_ms(jobs: Sequence[JobRecord]) -> dict[str, float | None]:
         return {"median": None, "p95": None}
     median, p95 = np.percentile(times, [50, 95])
     return {"median": round(float(median), 1), "p95": round(float(p95), 1)}
-
-
-def draw(record: RunRecord, made: Mapping[str, Any], file: Path) -> None:
-    """Draw the run: every odometry in its own frame, then every map with its loops."""
-    drawings = [_drawing(record, snapshot) for snapshot in record.snapshots]
-    drawings.sort(key=lambda drawing: -sum(map(len, drawing.paths.values())))
-    before = _segment_paths(record.snapshots, odometry=True)
-    loops = made["loops"]
-    title = f"{loops['accepted']} loops, {loops['inter']} between robots"
-    if made["joint_ate_after_m"] is not None:
-        title += (
-            f"; joint ATE {100 * made['joint_ate_before_m']:.1f} cm (each odometry aligned alone)"
-            f" -> {100 * made['joint_ate_after_m']:.1f} cm (one alignment)"
-        )
-    if before:
-        picture.draw_top_view(file, before, drawings, title)
-
-
-def _drawing(record: RunRecord, snapshot: MapSnapshot) -> picture.MapDrawing:
-    positions = snapshot.T_map_body[:, :3, 3]
-    ends = np.stack([snapshot.edge_from, snapshot.edge_to], axis=-1)[snapshot.is_loop]
-    truths = {}
-    pairs = _pairs(record, export.trajectories([snapshot]))
-    if pairs:
-        T_map_ref = frames.inverse(evaluation.alignment(pairs.values()))
-        truths = {a: (T_map_ref @ pair.T_ref_body)[:, :3, 3] for a, pair in pairs.items()}
-    return picture.MapDrawing(_segment_paths([snapshot]), positions[ends], truths)
-
-
-def _segment_paths(
-    snapshots: Sequence[MapSnapshot], *, odometry: bool = False
-) -> dict[str, list[NDArray[np.float64]]]:
-    """(N, 3) positions of every segment in order of seq, by agent."""
-    paths: dict[str, list[NDArray[np.float64]]] = {}
-    for snapshot in snapshots:
-        poses = snapshot.T_odom_body if odometry else snapshot.T_map_body
-        for segment in snapshot.summary.segments:
-            index = [i for i, kf in enumerate(snapshot.keyframes) if kf.segment == segment]
-            index.sort(key=lambda i: snapshot.keyframes[i].seq)
-            paths.setdefault(segment.agent, []).append(poses[index, :3, 3])
-    return paths

@@ -21,12 +21,10 @@ import yaml
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from covinz import client, config, export, g2o, keyexprs, report
+from covinz import client, config, keyexprs, provenance, record, report, results
 from covinz.bus import Bus, ZenohBus
-from covinz.scenario import Scenario, TumAgent, load_scenario
+from covinz.scenario import AslAgent, Scenario, TumAgent, load_scenario
 from covinz.supervisor import Supervisor, child_environment, die_with_parent, server_specs
-from covinz.trajectory import write_tum
-from covinz.types import MapSnapshot
 
 log = logging.getLogger(__name__)
 
@@ -58,9 +56,10 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What a run left: its folder and the report that is in it."""
+    """What a run left: its folder, the files to look at and the report that is among them."""
 
     folder: Path
+    files: Sequence[Path]
     report: dict[str, Any]
 
 
@@ -72,7 +71,7 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
         RunFailed: If a recording is not there, the server does not come up or the agents cannot
             be played.
     """
-    began = time.monotonic()
+    watch = _Watch()
     scenario = load_scenario(scenario_file)
     _require_recordings(scenario)
     settings = server_config(scenario, options)
@@ -85,32 +84,52 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
         bus = ZenohBus.open(settings.bus)
         try:
             _wait_for_services(bus, len(specs) - 1, folder)
-            played = time.monotonic()
-            summary = _play(scenario_file, settings.bus.endpoint, options, folder)
+            watch.lap("start")
+            summary = _play(scenario_file, settings.bus.endpoint, options, folder, console)
+            watch.lap("play")
             _wait_until_idle(bus, console)
-            server_s = time.monotonic() - played
-            record = report.collect(bus, scenario, summary, folder, server_s)
+            watch.lap("drain")
+            server_s = watch.laps_s["play"] + watch.laps_s["drain"]
+            left = record.collect(
+                bus, scenario, summary, folder, server_s, settings.optimizer.cauchy_scale
+            )
         finally:
             bus.close()
-    made = report.build(record)
-    made["wall_s"] = round(time.monotonic() - began, 3)
+    watch.lap("stop")
+    made = report.build(left)
+    watch.lap("evaluate")
+    made["wall_s"] = round(sum(watch.laps_s.values()), 3)
+    made["phases_s"] = {name: round(lap_s, 3) for name, lap_s in watch.laps_s.items()}
     made["options"] = {
         "workers": options.workers,
         "profile": options.profile,
         "rate": options.rate,
         "lockstep": options.lockstep,
     }
-    _write_results(folder, record.snapshots, made)
-    report.draw(record, made, folder / "top_view.png")
-    return RunResult(folder, made)
+    made["made_with"] = provenance.provenance(settings)
+    return RunResult(folder, results.write(folder, left, made), made)
+
+
+class _Watch:
+    """Times the phases of a run one after another."""
+
+    def __init__(self) -> None:
+        self.laps_s: dict[str, float] = {}
+        self._since = time.monotonic()
+
+    def lap(self, name: str) -> None:
+        """End a phase; the next begins."""
+        now = time.monotonic()
+        self.laps_s[name] = now - self._since
+        self._since = now
 
 
 def _require_recordings(scenario: Scenario) -> None:
     for agent in scenario.agents:
-        if isinstance(agent, TumAgent) and not agent.path.is_dir():
+        if isinstance(agent, TumAgent | AslAgent) and not agent.path.is_dir():
             raise RunFailed(
                 f"{agent.id}: there is no recording in {agent.path}; the scenarios of the "
-                "repository look for theirs below the folder that COVINZ_DATA names"
+                "repository look for theirs below the folder that COVINZ_DATA or EUROC names"
             )
 
 
@@ -177,13 +196,17 @@ def _wait_for_services(bus: Bus, count: int, folder: Path) -> None:
         watch.close()
 
 
-def _play(scenario_file: Path, endpoint: str, options: RunOptions, folder: Path) -> dict[str, Any]:
+def _play(
+    scenario_file: Path, endpoint: str, options: RunOptions, folder: Path, console: Console
+) -> dict[str, Any]:
     """Play all agents in a process of their own; returns the player's summary."""
     summary = folder / "agents.json"
     argv = [sys.executable, "-m", "covinz_agents.play", str(scenario_file)]
     argv += ["--endpoint", endpoint, "--spool", str(folder / "spool"), "--summary", str(summary)]
     argv += ["--lockstep"] if options.lockstep else []
     argv += ["--rate", str(options.rate)] if options.rate is not None else []
+    # Bars are for a terminal; in a log they are noise.
+    argv += [] if console.is_terminal else ["--no-progress"]
     player = subprocess.Popen(argv, env=child_environment(), preexec_fn=die_with_parent)
     try:
         code = player.wait()
@@ -199,7 +222,10 @@ def _play(scenario_file: Path, endpoint: str, options: RunOptions, folder: Path)
 
 def _wait_until_idle(bus: Bus, console: Console) -> None:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=console) as bars:
+    quiet = not console.is_terminal
+    with Progress(
+        *columns, TimeElapsedColumn(), console=console, transient=True, disable=quiet
+    ) as bars:
         update = _server_bars(bars)
         client.wait_idle(bus, on_progress=update)
 
@@ -216,15 +242,3 @@ def _server_bars(bars: Progress) -> Callable[[client.Progress], None]:
         bars.update(jobs, completed=most - now.open_jobs, total=most)
 
     return update
-
-
-def _write_results(folder: Path, snapshots: Sequence[MapSnapshot], made: dict[str, Any]) -> None:
-    trajectories = folder / "trajectories"
-    trajectories.mkdir()
-    for name, odometry in (("before", True), ("after", False)):
-        for agent, path in export.trajectories(snapshots, odometry=odometry).items():
-            write_tum(trajectories / f"{agent}.{name}.tum", path)
-    for number, snapshot in enumerate(snapshots):
-        suffix = "" if number == 0 else f"-{number + 1}"
-        g2o.write_g2o(folder / f"map{suffix}.g2o", snapshot)
-    (folder / "report.json").write_text(json.dumps(made, indent=2) + "\n")

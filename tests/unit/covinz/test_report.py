@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from covinz import frames, report
+from covinz.record import RunRecord
 from covinz.trajectory import Trajectory
 from covinz.types import (
     JobRecord,
@@ -79,15 +78,13 @@ PLAYED = {
 }
 
 
-def record(
-    jobs: list[JobRecord], b_offset_m: float = 0.0, played: dict | None = None
-) -> report.RunRecord:
+def record(jobs: list[JobRecord], b_offset_m: float = 0.0, played: dict | None = None) -> RunRecord:
     poses = {
         "a": [pose(float(x)) for x in range(3)],
         "b": [pose(float(x), b_offset_m) for x in range(3)],
     }
     truths = {"a": TRUTH, "b": TRUTH}
-    return report.RunRecord([snapshot("ab", poses)], jobs, played or PLAYED, truths, 7.0)
+    return RunRecord([snapshot("ab", poses)], jobs, played or PLAYED, truths, 7.0)
 
 
 def test_a_map_with_two_agents_apart_has_half_their_distance_as_joint_error() -> None:
@@ -125,14 +122,8 @@ def test_keyframes_that_were_sent_but_are_in_no_map_are_lost() -> None:
 
 def test_without_groundtruth_the_errors_are_absent_and_the_rest_is_there() -> None:
     full = record([loop(kf("b", 2), kf("a", 0), pose(2.0))])
-    blind = report.RunRecord(full.snapshots, full.jobs, full.played, {}, 7.0)
+    blind = RunRecord(full.snapshots, full.jobs, full.played, {}, 7.0)
     made = report.build(blind)
     assert made["joint_ate_after_m"] is None
     assert made["loops"]["accepted"] == 1
     assert made["loops"]["wrong"] is None
-
-
-def test_the_picture_is_drawn(tmp_path: Path) -> None:
-    full = record([loop(kf("b", 2), kf("a", 0), pose(2.0))])
-    report.draw(full, report.build(full), tmp_path / "top_view.png")
-    assert (tmp_path / "top_view.png").read_bytes().startswith(b"\x89PNG")

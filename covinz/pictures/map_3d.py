@@ -1,0 +1,114 @@
+"""map_3d.png: the robots in space, before and after, over the floor of their world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+
+from covinz.pictures import captions, panels, style, view
+from covinz.pictures.subject import Subject
+from covinz.types import Array
+
+_FLOOR, _GRID, _SHADOW, _STEM = "#F6F8F9", "#DFE5E8", "#CBD2D8", "#B4BCC3"
+# So many lines from the paths of a panel down to the floor let the eye judge heights.
+_STEMS = 60
+# Squares along the longer side of the floor, at least.
+_SQUARES = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floor:
+    """A rectangle below the paths, in axes that go wide, deep and up [m]."""
+
+    low: Array
+    high: Array
+    up: float
+
+    def corners(self) -> Array:
+        """(4, 3) around it."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        return np.array([[x, y, self.up] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))])
+
+    def grid(self) -> Array:
+        """(G, 2, 3) lines on it, a round length apart."""
+        step = view.nice_length(float(np.max(self.high - self.low)) / _SQUARES)
+        lines = []
+        for axis in (0, 1):
+            first, last = self.low[axis], self.high[axis]
+            for at in np.arange(np.ceil(first / step) * step, last, step):
+                line = np.full((2, 3), self.up)
+                line[:, 1 - axis] = self.low[1 - axis], self.high[1 - axis]
+                line[:, axis] = at
+                lines.append(line)
+        return np.array(lines).reshape(-1, 2, 3)
+
+
+def floor_of(shown: Sequence[panels.Panel], plan: Sequence[Array]) -> Floor:
+    """The floor below all paths of panels with the same axes; at height 0 if there is a plan."""
+    R = shown[0].R
+    points = np.concatenate([p for panel in shown for p in (*panel.paths_m, *panel.truths_m)]) @ R.T
+    kept = (
+        np.concatenate([p for panel in shown[-1:] for p in (*panel.paths_m, *panel.truths_m)]) @ R.T
+    )
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    size = float(np.max(high - low))
+    up = 0.0 if plan else float(kept[:, 2].min()) - 0.06 * size
+    return Floor(low - 0.04 * size, high + 0.04 * size, up)
+
+
+def draw_map_3d(file: Path, subject: Subject, made: Mapping[str, Any]) -> None:
+    """Write the picture: a parallel projection with a grid on the floor, and stems down to it.
+
+    Args:
+        file: PNG to write.
+        subject: A run with one map or more.
+        made: Its report.
+    """
+    shown = panels.panels_of(subject, view.from_the_side)
+    floors = {
+        id(panel): floor_of(shown if subject.aligned else [panel], subject.plan) for panel in shown
+    }
+
+    def ground(axis: Axes, panel: panels.Panel, _: view.Box) -> None:
+        _draw_floor(axis, panel, floors[id(panel)], subject.plan)
+
+    boxes = panels.boxes(
+        subject, shown, [floors[id(panel)].corners() @ panel.R @ panel.P for panel in shown]
+    )
+    figure = panels.draw(subject, shown, boxes, ground)
+    style.headline(figure, captions.title(made), captions.figures(made))
+    style.save(figure, file)
+
+
+def _draw_floor(axis: Axes, panel: panels.Panel, floor: Floor, plan: Sequence[Array]) -> None:
+    onto_plane = panel.R @ panel.P
+    _fill(axis, [floor.corners() @ onto_plane], _FLOOR, _GRID, 0.5)
+    _lines(axis, floor.grid() @ onto_plane, _GRID, 0.6, 0.6)
+    on_floor = [np.column_stack([outline, np.zeros(len(outline))]) for outline in plan]
+    _fill(axis, [outline @ panel.P for outline in on_floor], style.PLAN_FACE, style.PLAN_EDGE, 1.0)
+    feet = []
+    every = max(1, sum(map(len, panel.paths_m)) // _STEMS)
+    for path_m in panel.paths_m:
+        foot = path_m @ panel.R.T
+        foot[:, 2] = floor.up
+        axis.plot(*(foot @ onto_plane).T, color=_SHADOW, linewidth=1.4, zorder=1.2)
+        feet += list(np.stack([foot @ onto_plane, path_m @ panel.P], axis=1)[::every])
+    _lines(axis, np.array(feet), _STEM, 0.5, 1.4)
+
+
+def _fill(axis: Axes, outlines: Sequence[Array], face: str, edge: str, zorder: float) -> None:
+    filled = PolyCollection(list(outlines), facecolors=face, edgecolors=edge, linewidths=0.6)
+    filled.set_zorder(zorder)
+    axis.add_collection(filled, autolim=False)
+
+
+def _lines(axis: Axes, ends: Array, colour: str, width: float, zorder: float) -> None:
+    lines = LineCollection(list(ends), colors=colour, linewidths=width)
+    lines.set_zorder(zorder)
+    axis.add_collection(lines, autolim=False)

@@ -1,0 +1,191 @@
+"""Panels of paths: every robot before and after, on whatever plane a projection gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from covinz.pictures import style, view
+from covinz.pictures.subject import MapSubject, Subject, Track
+from covinz.types import Array
+
+MAX_MAPS = 3
+_EDGE_IN, _GAP_IN, _NAME_IN = 0.12, 0.14, 0.28
+# A panel that would be flatter than this beside another is given the whole width.
+_FLAT = 0.36
+# A plan that is more than so many times larger than the paths is cut off around them.
+_LARGE_PLAN = 2.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panel:
+    """One panel: paths of robots, and the map that they are in.
+
+    Attributes:
+        name: What it shows.
+        tracks: Whose paths.
+        paths_m: Their (N, 3) points.
+        truths_m: (K, 3) true paths, pale; may be none.
+        R: (3, 3) rotation to axes that go wide, deep and up; see `view.upright`.
+        P: (3, 2) projection of points to the drawn plane.
+        found: The map whose loops are drawn; None: none.
+    """
+
+    name: str
+    tracks: Sequence[Track]
+    paths_m: Sequence[Array]
+    truths_m: Sequence[Array]
+    R: Array
+    P: Array
+    found: MapSubject | None = None
+
+    @property
+    def drawn(self) -> list[Array]:
+        """(N, 2) points of all its paths on the drawn plane."""
+        return [points @ self.P for points in (*self.paths_m, *self.truths_m)]
+
+
+Below = Callable[[Axes, Panel, view.Box], None]
+
+
+def panels_of(subject: Subject, project: Callable[[Array], Array]) -> list[Panel]:
+    """The panel before, and one for each of the largest maps.
+
+    Args:
+        subject: What to draw; at least one map.
+        project: Makes of `view.upright` a projection (3, 2) to the drawn plane.
+    """
+    maps = subject.maps[:MAX_MAPS]
+    together = np.concatenate([track.after_m for track in subject.tracks])
+    shared = view.upright(together, bool(subject.plan))
+    turns = [
+        shared
+        if subject.aligned
+        else view.upright(np.concatenate([track.after_m for track in found.tracks]), False)
+        for found in maps
+    ]
+    start = "from its true start" if subject.aligned else "from its own start"
+    before = Panel(
+        f"Before: odometry alone, each {start} (dot)",
+        subject.tracks,
+        [track.before_m for track in subject.tracks],
+        [track.truth_m for track in subject.tracks] if subject.aligned else [],
+        turns[0],
+        project(turns[0]),
+    )
+    after = [
+        Panel(
+            _name(subject, number),
+            found.tracks,
+            [track.after_m for track in found.tracks],
+            [track.truth_m for track in found.tracks],
+            R,
+            project(R),
+            found,
+        )
+        for number, (found, R) in enumerate(zip(maps, turns, strict=True))
+    ]
+    return [before, *after]
+
+
+def _name(subject: Subject, number: int) -> str:
+    found, count = subject.maps[number], len(subject.maps)
+    if count == 1:
+        return "After: one map" + (", aligned once to ground truth" if found.aligned else "")
+    agents = ", ".join(found.agents) if len(found.agents) <= 3 else f"{len(found.agents)} robots"
+    return f"After: map {number + 1} of {count} ({agents})"
+
+
+def boxes(
+    subject: Subject, panels: Sequence[Panel], around: Sequence[Array] = ()
+) -> list[view.Box]:
+    """What each panel shows; the same for all of them where all share the world frame.
+
+    Args:
+        subject: What is drawn.
+        panels: In which panels.
+        around: (K, 2) what should be seen too on the drawn plane, unless it is much larger.
+    """
+    if not subject.aligned:
+        return [view.box_of(panel.drawn) for panel in panels]
+    drawn = [points for panel in panels for points in panel.drawn]
+    box = view.box_of(drawn)
+    if around:
+        whole = view.box_of([*drawn, *around], 0.02)
+        if whole.right - whole.left <= _LARGE_PLAN * (box.right - box.left):
+            box = whole
+    return [box] * len(panels)
+
+
+def draw(
+    subject: Subject, panels: Sequence[Panel], shown: Sequence[view.Box], below: Below
+) -> Figure:
+    """Arrange the panels on a canvas with a legend; the headline is left to the caller."""
+    colours = style.colours_of(subject.agents)
+    entries = [*style.agent_entries(colours), *_entries(panels)]
+    aspect = max(box.aspect for box in shown)
+    columns = 1 if aspect < _FLAT else 2
+    width = (style.WIDTH_IN - 2 * _EDGE_IN - (columns - 1) * _GAP_IN) / columns
+    height, rows = width * aspect, int(np.ceil(len(panels) / columns))
+    row = _NAME_IN + height + 0.08
+    total = style.TITLE_IN + rows * row + style.legend_height_in(entries) + 0.05
+    figure = style.canvas(total)
+    for number, (panel, box) in enumerate(zip(panels, shown, strict=True)):
+        left = _EDGE_IN + (number % columns) * (width + _GAP_IN)
+        top = style.TITLE_IN + (number // columns) * row + _NAME_IN
+        axis = style.place(figure, left, top, width, height)
+        axis.set_title(panel.name, loc="left", pad=5)
+        seen = view.taller(box, aspect)
+        view.show(axis, seen)
+        below(axis, panel, seen)
+        _draw_panel(axis, panel, colours)
+        view.scale_bar(axis, seen, np.concatenate(panel.drawn))
+    style.legend(figure, entries)
+    return figure
+
+
+def _draw_panel(axis: Axes, panel: Panel, colours: dict[str, str]) -> None:
+    for path in panel.truths_m:
+        axis.plot(*(path @ panel.P).T, color=style.TRUTH, linewidth=4.0, zorder=2)
+    if panel.found is not None:
+        _draw_loops(axis, panel.found, panel.found.loop_ends_m @ panel.P)
+    for track, path_m in zip(panel.tracks, panel.paths_m, strict=True):
+        colour, path = colours[track.agent], path_m @ panel.P
+        axis.plot(*path.T, color=colour, linewidth=1.9, zorder=5)
+        axis.plot(*path[0], "o", color=colour, markersize=7, markeredgecolor="white", zorder=6)
+
+
+def _draw_loops(axis: Axes, found: MapSubject, ends: Array) -> None:
+    wrong = found.loops.wrong
+    opacity = float(np.clip(60 / max(1, len(ends)), 0.22, 0.7))
+    for chosen, colour, width, alpha, z in (
+        (~found.inter & ~wrong, style.INTRA, 0.7, opacity, 3.0),
+        (found.inter & ~wrong, style.INTER, 0.7, opacity, 3.1),
+        (wrong, style.WRONG, 1.1, 0.9, 4.0),
+    ):
+        lines = LineCollection(list(ends[chosen]), colors=colour, linewidths=width, alpha=alpha)
+        lines.set_zorder(z)
+        axis.add_collection(lines, autolim=False)
+
+
+def _entries(panels: Sequence[Panel]) -> list[Artist]:
+    """Legend of everything that is not an agent, as far as it occurs."""
+    entries: list[Artist] = []
+    maps = [panel.found for panel in panels if panel.found is not None]
+    if any(len(path) for panel in panels for path in panel.truths_m):
+        entries.append(Line2D([], [], color=style.TRUTH, linewidth=4.0, label="ground truth"))
+    for occurs, colour, width, label in (
+        (any((~m.inter & ~m.loops.wrong).any() for m in maps), style.INTRA, 1.0, "loop, one robot"),
+        (any((m.inter & ~m.loops.wrong).any() for m in maps), style.INTER, 1.0, "loop, two robots"),
+        (any(m.loops.wrong.any() for m in maps), style.WRONG, 1.4, "wrong loop"),
+    ):
+        if occurs:
+            entries.append(Line2D([], [], color=colour, linewidth=width, label=label))
+    return entries
