@@ -48,12 +48,14 @@ class World:
         low_m: (3,) lower corner of the space in which robots may be.
         high_m: (3,) its upper corner.
         outdoors: Lit by sun and sky, not by lamps.
+        seed: Seed of its textures; each face draws from its own stream.
     """
 
     faces: tuple[Face, ...]
     low_m: Array
     high_m: Array
     outdoors: bool
+    seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("low_m", "high_m"):
