@@ -46,16 +46,30 @@ def read_camera(path: Path, image_size: tuple[int, int]) -> Camera:
             f"{path}: the calibration is for {entries.width} x {entries.height} pixels, "
             f"the images have {image_size[0]} x {image_size[1]}"
         )
+    return camera_of(entries, str(path))
+
+
+def camera_of(entries: CalibrationFile, origin: str) -> Camera:
+    """The camera that a calibration describes.
+
+    Args:
+        entries: The calibration.
+        origin: Where it is from, for messages.
+
+    Raises:
+        ConfigError: If the number of parameters is wrong, one is not usable, or `T_body_cam` is no
+            rigid transform.
+    """
     if len(entries.params) != NUM_CAMERA_PARAMS[entries.model]:
         raise ConfigError(
-            f"{path}: {entries.model} has {NUM_CAMERA_PARAMS[entries.model]} parameters"
+            f"{origin}: {entries.model} has {NUM_CAMERA_PARAMS[entries.model]} parameters"
         )
     return Camera(
         entries.model,
         entries.width,
         entries.height,
-        _checked_params(np.array(entries.params), path),
-        _T_body_cam(entries, path),
+        _checked_params(np.array(entries.params), origin),
+        _T_body_cam(entries, origin),
     )
 
 
@@ -67,15 +81,15 @@ def read_T_body_cam(path: Path) -> Array:
     """
     if path.suffix == ".txt":
         return np.eye(4)
-    return _T_body_cam(validate(CalibrationFile, read_yaml(path), str(path)), path)
+    return _T_body_cam(validate(CalibrationFile, read_yaml(path), str(path)), str(path))
 
 
-def _T_body_cam(entries: CalibrationFile, path: Path) -> Array:
+def _T_body_cam(entries: CalibrationFile, origin: str) -> Array:
     if len(entries.T_body_cam) != 16:
-        raise ConfigError(f"{path}: T_body_cam has 16 numbers, got {len(entries.T_body_cam)}")
+        raise ConfigError(f"{origin}: T_body_cam has 16 numbers, got {len(entries.T_body_cam)}")
     T_body_cam = np.reshape(entries.T_body_cam, (4, 4))
     if not frames.is_rigid(T_body_cam):
-        raise ConfigError(f"{path}: T_body_cam is not a rigid transform")
+        raise ConfigError(f"{origin}: T_body_cam is not a rigid transform")
     return T_body_cam
 
 
@@ -91,10 +105,10 @@ def _tum_params(path: Path) -> Array:
         values = np.array([float(word) for word in words])
     except ValueError as error:
         raise ConfigError(f"{path}:{number}: {error}") from error
-    return _checked_params(np.concatenate([values, np.zeros(3)]), path)
+    return _checked_params(np.concatenate([values, np.zeros(3)]), str(path))
 
 
-def _checked_params(params: Array, path: Path) -> Array:
+def _checked_params(params: Array, origin: str) -> Array:
     if not np.isfinite(params).all() or params[:2].min() <= 0:
-        raise ConfigError(f"{path}: the parameters must be finite, focal lengths positive")
+        raise ConfigError(f"{origin}: the parameters must be finite, focal lengths positive")
     return params

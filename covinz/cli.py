@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -20,11 +20,29 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from covinz import client, config, durable, evaluation, export, run, supervisor, trajectory
+from covinz import (
+    client,
+    config,
+    durable,
+    evaluation,
+    export,
+    run,
+    server_report,
+    summary,
+    supervisor,
+    trajectory,
+)
 from covinz.bus import Bus, BusError, ZenohBus, open_router
+from covinz.candidates import (
+    LOOP,
+    Candidate,
+    CandidatesError,
+    candidates,
+    read_candidates,
+    short_name,
+)
 from covinz.codec import MalformedMessage
 from covinz.signals import stop_event
-from covinz.types import JobRecord, JobState, LoopClosure, Rejection
 
 app = typer.Typer(
     help="Collaborative SLAM server: robots send keyframes, covinz puts them into one map.",
@@ -79,6 +97,9 @@ def run_scenario(
     lockstep: Annotated[
         bool, typer.Option(help="Send in stamp order across agents: a reproducible run.")
     ] = False,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Instead of the scenario's: other paths and drift.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Run folder [default: runs/<name>-<time>].")
     ] = None,
@@ -89,11 +110,10 @@ def run_scenario(
     # Like Ctrl-C, SIGTERM must stop the server and the agents too.
     signal.signal(signal.SIGTERM, _leave)
     options = run.RunOptions(
-        workers=workers, profile=profile, rate=rate, lockstep=lockstep, out=out
+        workers=workers, profile=profile, rate=rate, lockstep=lockstep, seed=seed, out=out
     )
     result = run.run_scenario(scenario, options, console)
-    _print_report(result.report)
-    _say(f"\n{result.folder}/report.json and top_view.png")
+    summary.show(console, result.report, result.folder, result.files)
 
 
 @app.command()
@@ -119,18 +139,39 @@ def status(endpoint: Endpoint = DEFAULT_ENDPOINT) -> None:
 @app.command()
 def why(
     keyframe: Annotated[str, typer.Argument(help="AGENT, AGENT/SEQ or AGENT/SESSION/SEQ.")],
+    folder: Annotated[
+        Path | None, typer.Option("--run", help="Ask a finished run's folder, not a server.")
+    ] = None,
     endpoint: Endpoint = DEFAULT_ENDPOINT,
 ) -> None:
     """Say for a keyframe which candidates it had and why each did or did not become a loop."""
-    with _connected(endpoint) as bus:
-        records = [record for record in client.jobs(bus) if _concerns(record, keyframe)]
-    table = Table("query", "candidate", "score", "outcome", "counted", "needed", "detail")
-    for record in records:
-        table.add_row(str(record.job.query), str(record.job.cand), *_describe(record))
-    if records:
-        console.print(table)
+    if folder is not None:
+        found = read_candidates(folder / "candidates.csv")
     else:
+        with _connected(endpoint) as bus:
+            found = candidates(client.jobs(bus))
+    rows = [row for row in found if row.concerns(keyframe)]
+    if not rows:
         _say(f"no candidate was ever found for {keyframe}")
+        return
+    console.print(_why_table(rows))
+
+
+def _why_table(rows: Sequence[Candidate]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for heading in ("query", "candidate", "score", "outcome", "counted", "needed"):
+        table.add_column(heading, no_wrap=True)
+    table.add_column("detail")
+    known = any(row.error_m for row in rows)
+    if known:
+        table.add_column("off by", no_wrap=True)
+    for row in rows:
+        colour = "green" if row.outcome == LOOP else "red" if row.counted else "default"
+        off = f"{float(row.error_m):.2f} m {float(row.error_deg):.1f}°" if row.error_m else ""
+        names = [short_name(name, rows) for name in (row.query, row.candidate)]
+        words = [*names, row.score, f"[{colour}]{row.outcome}", *map(escape, row[4:7])]
+        table.add_row(*words, *([off] if known else []))
+    return table
 
 
 @app.command("export")
@@ -143,6 +184,25 @@ def export_maps(
         snapshots = client.snapshots(bus)
     for file in export.write_maps(out, snapshots):
         _say(str(file))
+
+
+@app.command("report")
+def report_server(
+    scenario: Annotated[Path, typer.Argument(help="What was played.", exists=True, dir_okay=False)],
+    played: Annotated[
+        Path, typer.Option(help="Folder that the player left its summary, agents.json, in.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for report and pictures; without, as for run.")
+    ] = None,
+    endpoint: Endpoint = DEFAULT_ENDPOINT,
+    config_file: ConfigFile = None,
+) -> None:
+    """Evaluate a running server once it is idle, after robots were played from elsewhere."""
+    settings = config.load(config_file)
+    with _connected(endpoint) as bus:
+        result = server_report.report_server(bus, scenario, played, out, settings)
+    summary.show(console, result.report, result.folder, result.files)
 
 
 @app.command("eval")
@@ -189,46 +249,6 @@ def _connected(endpoint: str) -> Iterator[Bus]:
         bus.close()
 
 
-def _concerns(record: JobRecord, keyframe: str) -> bool:
-    for found in (record.job.query, record.job.cand):
-        if keyframe in (found.agent, f"{found.agent}/{found.seq}", str(found)):
-            return True
-    return False
-
-
-def _describe(record: JobRecord) -> tuple[str, str, str, str, str]:
-    score = f"{record.job.score:.1f}"
-    match record.outcome:
-        case LoopClosure() as loop:
-            return score, "[green]loop closure", f"{loop.num_inliers} inliers", "", ""
-        case Rejection() as no:
-            return score, f"[red]{no.stage}", f"{no.count:g}", f"{no.threshold:g}", no.detail
-    waiting = "leased" if record.state is JobState.LEASED else "waiting for a worker"
-    return score, waiting, "", "", ""
-
-
-def _print_report(report: dict[str, Any]) -> None:
-    headings = ("ATE before [m]", "ATE after [m]")
-    table = Table("agent", "keyframes", "kB/s", *map(escape, headings))
-    for name, agent in report["agents"].items():
-        errors_m = [_metres(agent["ate_before_m"]), _metres(agent["ate_after_m"])]
-        table.add_row(name, str(agent["keyframes"]), f"{agent['kB_per_s']:.0f}", *errors_m)
-    console.print(table)
-    loops = report["loops"]
-    wrong = "-" if loops["wrong"] is None else loops["wrong"]
-    maps = "; ".join(" ".join(agents) for agents in report["maps"])
-    _say(f"maps: {len(report['maps'])} ({maps})")
-    _say(
-        f"loops: {loops['accepted']} of {loops['candidates']} candidates, "
-        f"{loops['inter']} between agents, wrong: {wrong}"
-    )
-    _say(
-        "joint ATE [m]: each odometry alone "
-        f"{_metres(report['joint_ate_before_m'])}, maps {_metres(report['joint_ate_after_m'])}"
-    )
-    _say(f"keyframes lost: {report['keyframes_lost']}")
-
-
 def _say(text: str) -> None:
     """Print as it is: brackets are no markup, long lines are left to the terminal."""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -238,16 +258,13 @@ def _median(values: NDArray[np.float64]) -> str:
     return f"{np.median(values):.4f}" if len(values) else "-"
 
 
-def _metres(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
-
-
 def main() -> None:
     """Entry point: known errors become one line, bugs keep their traceback."""
     # Who waits for the router says so in words of its own.
     logging.getLogger("covinz.bus").setLevel(logging.ERROR)
     known = (
         BusError,
+        CandidatesError,
         MalformedMessage,
         OSError,
         config.ConfigError,

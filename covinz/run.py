@@ -44,6 +44,7 @@ class RunOptions:
         profile: Solver profile.
         rate: Multiple of real time; None plays as fast as the server acknowledges.
         lockstep: One keyframe at a time in stamp order across agents.
+        seed: Instead of the scenario's seed.
         out: Run folder; None makes ``runs/<name>-<time>``.
     """
 
@@ -51,6 +52,7 @@ class RunOptions:
     profile: str = "paper"
     rate: float | None = None
     lockstep: bool = False
+    seed: int | None = None
     out: Path | None = None
 
 
@@ -73,6 +75,8 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
     """
     watch = _Watch()
     scenario = load_scenario(scenario_file)
+    if options.seed is not None:
+        scenario = scenario.model_copy(update={"seed": options.seed})
     _require_recordings(scenario)
     settings = server_config(scenario, options)
     folder = make_run_folder(scenario.name, options.out)
@@ -85,13 +89,14 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
         try:
             _wait_for_services(bus, len(specs) - 1, folder)
             watch.lap("start")
-            summary = _play(scenario_file, settings.bus.endpoint, options, folder, console)
+            played = _play(scenario_file, settings.bus.endpoint, options, folder, console)
+            watch.lap("stage", played["staged_s"])
             watch.lap("play")
             _wait_until_idle(bus, console)
             watch.lap("drain")
             server_s = watch.laps_s["play"] + watch.laps_s["drain"]
             left = record.collect(
-                bus, scenario, summary, folder, server_s, settings.optimizer.cauchy_scale
+                bus, scenario, played["agents"], folder, server_s, settings.optimizer.cauchy_scale
             )
         finally:
             bus.close()
@@ -105,6 +110,7 @@ def run_scenario(scenario_file: Path, options: RunOptions, console: Console) -> 
         "profile": options.profile,
         "rate": options.rate,
         "lockstep": options.lockstep,
+        "seed": scenario.seed,
     }
     made["made_with"] = provenance.provenance(settings)
     return RunResult(folder, results.write(folder, left, made), made)
@@ -117,9 +123,9 @@ class _Watch:
         self.laps_s: dict[str, float] = {}
         self._since = time.monotonic()
 
-    def lap(self, name: str) -> None:
-        """End a phase; the next begins."""
-        now = time.monotonic()
+    def lap(self, name: str, lasted_s: float | None = None) -> None:
+        """End a phase, now or when it had lasted so long; the next begins."""
+        now = time.monotonic() if lasted_s is None else self._since + lasted_s
         self.laps_s[name] = now - self._since
         self._since = now
 
@@ -205,6 +211,7 @@ def _play(
     argv += ["--endpoint", endpoint, "--spool", str(folder / "spool"), "--summary", str(summary)]
     argv += ["--lockstep"] if options.lockstep else []
     argv += ["--rate", str(options.rate)] if options.rate is not None else []
+    argv += ["--seed", str(options.seed)] if options.seed is not None else []
     # Bars are for a terminal; in a log they are noise.
     argv += [] if console.is_terminal else ["--no-progress"]
     player = subprocess.Popen(argv, env=child_environment(), preexec_fn=die_with_parent)
@@ -216,8 +223,8 @@ def _play(
         raise
     if code != 0:
         raise RunFailed(f"playing the agents ended with code {code}; why is said above")
-    agents: dict[str, Any] = json.loads(summary.read_text())["agents"]
-    return agents
+    played: dict[str, Any] = json.loads(summary.read_text())
+    return played
 
 
 def _wait_until_idle(bus: Bus, console: Console) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from covinz.config import BusConfig, ConfigError
 from covinz.scenario import Scenario, load_scenario
@@ -24,7 +24,8 @@ from covinz.signals import stop_event
 from covinz.spool import SpoolError
 from covinz.trajectory import TrajectoryError
 from covinz_agents.player import NotDelivered, PlayOptions, Report, Robot, play
-from covinz_agents.source import DatasetError
+from covinz_agents.source import DatasetError, RenderingStopped
+from covinz_agents.staging import OnRendering
 
 log = logging.getLogger(__name__)
 
@@ -45,12 +46,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     stop = stop_event()
     try:
         scenario = load_scenario(arguments.scenario)
+        if arguments.seed is not None:
+            scenario = scenario.model_copy(update={"seed": arguments.seed})
         with _progress(arguments.progress) as progress:
-            summary = play(scenario, options, stop, _bars(progress, scenario))
+            bars = _bars(progress, scenario)
+            summary = play(scenario, options, stop, bars, _rendering_bar(progress))
     except (ConfigError, DatasetError, SpoolError, TrajectoryError) as error:
         log.error("%s", error)
         return 2
-    except NotDelivered as error:
+    except (NotDelivered, RenderingStopped) as error:
         log.error("%s", error)
         return 1
     if arguments.summary:
@@ -66,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("scenario", type=Path, help="scenario file")
     parser.add_argument("--endpoint", default=BusConfig().endpoint, help="the server's router")
     parser.add_argument("--spool", type=Path, required=True, help="folder for the robots' spools")
+    parser.add_argument("--seed", type=_count, help="instead of the scenario's seed")
     parser.add_argument("--summary", type=Path, help="JSON file to write when all is delivered")
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument("--rate", type=_positive, help="multiple of real time [as fast as acked]")
@@ -86,11 +91,18 @@ def _positive(text: str) -> float:
     return value
 
 
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise ValueError
+    return value
+
+
 def _progress(shown: bool) -> Progress:
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.fields[sent]} sent, {task.completed}/{task.total} acked"),
+        TextColumn("{task.fields[done]}"),
         TimeElapsedColumn(),
         console=Console(stderr=True),
         disable=not shown,
@@ -98,12 +110,26 @@ def _progress(shown: bool) -> Progress:
 
 
 def _bars(progress: Progress, scenario: Scenario) -> Report:
-    tasks = {a.id: progress.add_task(a.id, total=None, sent=0) for a in scenario.agents}
+    tasks = {a.id: progress.add_task(a.id, total=None, done="") for a in scenario.agents}
 
     def report(robots: Sequence[Robot]) -> None:
         for robot in robots:
             total, acked = len(robot.keyframes), robot.acked
-            progress.update(tasks[robot.id], total=total, completed=acked, sent=robot.sent)
+            done = f"{robot.sent} sent, {acked}/{total} acked"
+            progress.update(tasks[robot.id], total=total, completed=acked, done=done)
+
+    return report
+
+
+def _rendering_bar(progress: Progress) -> OnRendering:
+    task: TaskID | None = None
+
+    def report(rendered: int, total: int) -> None:
+        nonlocal task
+        if task is None:
+            task = progress.add_task("rendering", total=total, done="")
+        done = f"{rendered} of {total} images, first run only"
+        progress.update(task, completed=rendered, done=done)
 
     return report
 

@@ -15,23 +15,12 @@ from typing import Any
 from covinz import codec
 from covinz.agent import Agent
 from covinz.config import Config, validate
-from covinz.scenario import (
-    AslAgent,
-    Scenario,
-    SimulatedAgent,
-    TumAgent,
-    World,
-    generated_groundtruth_file,
-)
-from covinz.trajectory import write_tum
+from covinz.scenario import Scenario
 from covinz.types import Keyframe, KeyframeContent, KeyframeId, Rejected
 from covinz.ulid import ulid
-from covinz_agents.asl import AslRecording
 from covinz_agents.drift import seed_of
-from covinz_agents.selection import select_keyframes
-from covinz_agents.simulator import SimulatedRobot
-from covinz_agents.source import Frame, Source
-from covinz_agents.tum import TumRecording
+from covinz_agents.source import Frame
+from covinz_agents.staging import OnRendering, Part, stage
 
 # Keyframes whose features are computed before they are due.
 _READ_AHEAD = 4
@@ -50,7 +39,7 @@ class PlayOptions:
     Attributes:
         endpoint: Where the server's router listens.
         spool: Folder for the robots' spools.
-        results: Folder for the ground truth of simulated robots.
+        results: Folder for the ground truth of rendered robots and the plan of their world.
         rate: Multiple of real time, all robots starting at once; None: as fast as the server
             acknowledges.
         lockstep: One keyframe at a time in stamp order across robots (ties: by id), each only
@@ -72,22 +61,28 @@ class Robot:
     """A robot being played.
 
     Attributes:
-        id: Its agent id.
-        source: Where its frames come from.
-        keyframes: Frames that it sends.
+        part: Its source and what it sends.
         agent: Its link to the server.
         sent: Keyframes handed over so far.
         sent_bytes: Their size on the wire.
         rejected: Keyframes that the server refused for good.
     """
 
-    id: str
-    source: Source
-    keyframes: Sequence[Frame]
+    part: Part
     agent: Agent
     rejected: list[KeyframeId]
     sent: int = 0
     sent_bytes: int = 0
+
+    @property
+    def id(self) -> str:
+        """Its agent id."""
+        return self.part.id
+
+    @property
+    def keyframes(self) -> Sequence[Frame]:
+        """Frames that it sends."""
+        return self.part.keyframes
 
     @property
     def acked(self) -> int:
@@ -98,17 +93,6 @@ class Robot:
 Report = Callable[[Sequence[Robot]], None]
 
 
-def open_source(agent: TumAgent | AslAgent | SimulatedAgent, world: World) -> Source:
-    """The recording or simulation of an agent; errors as those classes raise."""
-    match agent:
-        case TumAgent():
-            return TumRecording(agent)
-        case AslAgent():
-            return AslRecording(agent)
-        case SimulatedAgent():
-            return SimulatedRobot(agent, world)
-
-
 def lockstep_session(scenario: str, agent_id: str, first_stamp_ns: int) -> str:
     """The session (ULID) of a robot in a lockstep run: the same in every run."""
     digest = seed_of("session", scenario, agent_id).to_bytes(8, "big")
@@ -116,7 +100,11 @@ def lockstep_session(scenario: str, agent_id: str, first_stamp_ns: int) -> str:
 
 
 def play(
-    scenario: Scenario, options: PlayOptions, stop: threading.Event, report: Report
+    scenario: Scenario,
+    options: PlayOptions,
+    stop: threading.Event,
+    report: Report,
+    on_rendering: OnRendering,
 ) -> dict[str, Any]:
     """Play all robots and wait until the server has everything.
 
@@ -125,17 +113,23 @@ def play(
         options: How.
         stop: Ends the run early when set.
         report: Called now and then with the robots' progress, from the calling thread.
+        on_rendering: Called while images are rendered, before anything is sent.
 
     Returns:
-        The summary: ``agents.<id>.{session, keyframes, bytes, duration_s, rejected, ...}``.
+        The summary: ``agents.<id>.{session, keyframes, bytes, duration_s, rejected, ...}``, and
+        ``staged_s``, how long it took until the first keyframe could be sent.
 
     Raises:
         NotDelivered: If not everything was acknowledged.
-        DatasetError, TrajectoryError, ConfigError: If a recording cannot be played.
+        RenderingStopped: If it was stopped before anything was sent.
+        DatasetError, TrajectoryError, ConfigError: If a robot cannot be played.
     """
+    began = time.monotonic()
     options.spool.mkdir(parents=True, exist_ok=True)
+    parts = stage(scenario, options.results, stop, on_rendering)
     with ExitStack() as stack:
-        robots = [_open(agent, scenario, options, stack) for agent in scenario.agents]
+        robots = [_open(part, scenario, options, stack) for part in parts]
+        staged_s = time.monotonic() - began
         patience = _Patience(robots, options.patience_s, stop)
         if options.lockstep:
             _play_in_lockstep(robots, patience, report)
@@ -147,39 +141,27 @@ def play(
             unfinished[0].agent.wait_delivered(_TICK_S)
             report(robots)
         report(robots)
-        return _summary(scenario, options, robots)
+        return _summary(scenario, options, robots, staged_s)
 
 
-def _open(
-    agent: TumAgent | AslAgent | SimulatedAgent,
-    scenario: Scenario,
-    options: PlayOptions,
-    stack: ExitStack,
-) -> Robot:
-    source = open_source(agent, scenario.world)
-    keyframes = select_keyframes(source.frames, agent.keyframes)
-    source.camera  # noqa: B018 - a recording without calibration must fail before anything is sent
+def _open(part: Part, scenario: Scenario, options: PlayOptions, stack: ExitStack) -> Robot:
     session = None
     if options.lockstep:
-        session = lockstep_session(scenario.name, agent.id, keyframes[0].stamp_ns)
-    if isinstance(agent, SimulatedAgent) and source.groundtruth is not None:
-        options.results.mkdir(parents=True, exist_ok=True)
-        path = generated_groundtruth_file(agent.id, options.results)
-        write_tum(path, source.groundtruth, f"exact T_world_body of {agent.id}")
+        session = lockstep_session(scenario.name, part.id, part.keyframes[0].stamp_ns)
     rejected: list[KeyframeId] = []
 
     def on_rejected(keyframe: KeyframeId, _: Rejected) -> None:
         rejected.append(keyframe)
 
     link = Agent(
-        agent.id,
+        part.id,
         options.endpoint,
-        options.spool / f"{agent.id}.sqlite",
+        options.spool / f"{part.id}.sqlite",
         validate(Config, scenario.config, f"config of scenario {scenario.name}"),
         session,
         on_rejected=on_rejected,
     )
-    return Robot(agent.id, source, keyframes, stack.enter_context(link), rejected)
+    return Robot(part, stack.enter_context(link), rejected)
 
 
 @dataclass(slots=True, eq=False)
@@ -268,7 +250,7 @@ def _contents(
     under_way: deque[tuple[Robot, Future[KeyframeContent]]] = deque()
     try:
         for robot, frame in turns:
-            under_way.append((robot, pool.submit(_content, robot.source, frame)))
+            under_way.append((robot, pool.submit(_content, robot.part, frame)))
             if len(under_way) > _READ_AHEAD:
                 first, future = under_way.popleft()
                 yield first, future.result()
@@ -280,23 +262,36 @@ def _contents(
             future.cancel()
 
 
-def _content(source: Source, frame: Frame) -> KeyframeContent:
-    return KeyframeContent(frame.stamp_ns, frame.T_odom_body, source.camera, source.features(frame))
+def _content(part: Part, frame: Frame) -> KeyframeContent:
+    return KeyframeContent(
+        frame.stamp_ns,
+        frame.T_odom_body,
+        part.source.camera,
+        part.source.features(frame),
+        part.covariance.get(frame.number),
+    )
 
 
 def _send(robot: Robot, content: KeyframeContent) -> None:
     name = robot.agent.send(content)
     sent = Keyframe(
-        name, content.stamp_ns, content.T_odom_body, content.camera.hash, content.features
+        name,
+        content.stamp_ns,
+        content.T_odom_body,
+        content.camera.hash,
+        content.features,
+        content.covariance,
     )
     robot.sent_bytes += len(codec.encode(sent))
     robot.sent += 1
 
 
-def _summary(scenario: Scenario, options: PlayOptions, robots: Sequence[Robot]) -> dict[str, Any]:
+def _summary(
+    scenario: Scenario, options: PlayOptions, robots: Sequence[Robot], staged_s: float
+) -> dict[str, Any]:
     agents = {}
     for robot in robots:
-        frames = robot.source.frames
+        frames = robot.part.source.frames
         agents[robot.id] = {
             "session": robot.agent.session,
             "keyframes": robot.sent,
@@ -304,11 +299,12 @@ def _summary(scenario: Scenario, options: PlayOptions, robots: Sequence[Robot]) 
             "duration_s": (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e9,
             "rejected": len(robot.rejected),
             "frames": len(frames),
-            "images_without_pose": robot.source.skipped,
+            "images_without_pose": robot.part.source.skipped,
         }
     return {
         "scenario": scenario.name,
         "rate": options.rate,
         "lockstep": options.lockstep,
+        "staged_s": round(staged_s, 3),
         "agents": agents,
     }

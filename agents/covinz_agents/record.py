@@ -23,8 +23,8 @@ from covinz.config import ConfigError
 from covinz.scenario import Agent, Scenario, load_scenario
 from covinz.trajectory import TrajectoryError
 from covinz_agents.layouts import LAYOUTS, ODOMETRY, ImageSource
-from covinz_agents.player import open_source
 from covinz_agents.source import DatasetError
+from covinz_agents.staging import open_source
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ def record(scenario: Scenario, out: Path, layout: str) -> None:
         layout: One of `LAYOUTS`.
 
     Raises:
-        DatasetError: If a robot has no images, or `out` is not empty.
+        DatasetError: If a robot's images cannot be had, or `out` is not empty.
         TrajectoryError, ConfigError: If a recording cannot be read.
         OSError: If a file cannot be written.
     """
@@ -69,7 +69,7 @@ def record(scenario: Scenario, out: Path, layout: str) -> None:
 
 
 def _with_images(agent: Agent, scenario: Scenario) -> ImageSource:
-    source = open_source(agent, scenario.world)
+    source = open_source(agent, scenario)
     if not hasattr(source, "image"):
         raise DatasetError(f"{agent.id}: a robot of the reader {agent.reader} has no images")
     return cast(ImageSource, source)

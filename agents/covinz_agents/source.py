@@ -14,6 +14,10 @@ class DatasetError(ValueError):
     """A recording that cannot be played; the message names the file and, in lists, the line."""
 
 
+class RenderingStopped(RuntimeError):
+    """Rendering was stopped before all images were there; those that are stay in the cache."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """An image of a robot before anybody has looked at it.

@@ -24,7 +24,9 @@ from covinz.trajectory import Trajectory, read_tum
 
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^}]*))?\}")
 
-Agent = Annotated[TumAgent | AslAgent | SimulatedAgent, Field(discriminator="reader")]
+Agent = Annotated[
+    TumAgent | AslAgent | RenderedAgent | SimulatedAgent, Field(discriminator="reader")
+]
 
 
 class Scenario(Section):
@@ -34,7 +36,7 @@ class Scenario(Section):
     name: Annotated[str, Field(min_length=1)]
     # Settings of the server and of the agents' uploads that differ from the defaults.
     config: Mapping[str, Any] = {}
-    # Mixed into the seeds of paths, odometry and images, so that one scenario gives many runs.
+    # Added to the seeds of smooth paths, drift and images, so that one scenario gives many runs.
     seed: Count = 0
     # The world of the rendered agents.
     scene: Scene | None = None
