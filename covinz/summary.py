@@ -106,7 +106,7 @@ def _wrong(loops: Mapping[str, Any]) -> Text:
     if not wrong:
         return Text(f"none; the worst is off by {metres(loops['t_err_max_m'])}", _mark(True))
     share = 100 * wrong / loops["with_groundtruth"]
-    harm = "none bends the map" if not bending else f"{bending} of them bent the map"
+    harm = f"{bending or 'none'} {'bend' if bending > 1 else 'bends'} the map"
     worst = f"the worst is off by {metres(loops['t_err_max_m'])}"
     return Text(f"{wrong} loops ({share:.1f} %), {harm}; {worst}", _mark(not bending))
 

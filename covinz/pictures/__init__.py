@@ -8,6 +8,7 @@ from typing import Any
 
 from covinz.pictures import style
 from covinz.pictures.error_over_time import draw_error_over_time
+from covinz.pictures.loops import draw_loops
 from covinz.pictures.map_3d import draw_map_3d
 from covinz.pictures.subject import Subject, subject_of
 from covinz.pictures.top_view import draw_top_view
@@ -18,6 +19,7 @@ PICTURES: Mapping[str, Draw] = {
     "top_view.png": draw_top_view,
     "map_3d.png": draw_map_3d,
     "error_over_time.png": draw_error_over_time,
+    "loops.png": draw_loops,
 }
 
 

@@ -16,13 +16,20 @@ def title(made: Mapping[str, Any]) -> str:
 def loops(made: Mapping[str, Any]) -> str:
     """How many loops, of what kind."""
     found = made["loops"]
-    text = f"{found['accepted']} loops, {found['inter']} between robots"
-    if found["wrong"] is None:
+    text = f"{found['accepted']} loop{'' if found['accepted'] == 1 else 's'}"
+    if len(made["agents"]) > 1:
+        text += f", {found['inter']} between robots"
+    if found["wrong"] is None or not found["accepted"]:
         return text
-    bending = found["wrong_bending"] or "none"
-    return f"{text}, {found['wrong'] or 'none'} wrong" + (
-        f" ({bending} bends the map)" if found["wrong"] else ""
-    )
+    if not found["wrong"]:
+        return f"{text}, none wrong"
+    return f"{text}, {found['wrong']} wrong ({bending(found)})"
+
+
+def bending(found: Mapping[str, Any]) -> str:
+    """Whether wrong loops bend the map, in words; `found` are the report's figures of loops."""
+    count = found["wrong_bending"]
+    return f"{count or 'none'} {'bend' if count and count > 1 else 'bends'} the map"
 
 
 def joint_ate(made: Mapping[str, Any]) -> str | None:

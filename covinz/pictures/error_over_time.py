@@ -16,14 +16,15 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from covinz.pictures import captions, style
+from covinz.pictures import captions, style, view
 from covinz.pictures.joining import Joining, joinings
 from covinz.pictures.subject import MapSubject, Subject, Track
 from covinz.types import Array
 
-_ROW_IN, _LEFT_IN, _RIGHT_IN, _AXIS_IN, _GAP_IN = 1.3, 0.66, 0.14, 0.46, 0.12
+_ROW_IN, _LEFT_IN, _RIGHT_IN, _AXIS_IN, _GAP_IN = 1.3, 0.64, 0.14, 0.46, 0.12
 # A logarithm is easier to read when odometry alone is that many times worse than the map.
 _LOGARITHMIC = 25.0
 # Times are counted from each robot's own start when the robots' times hardly overlap.
@@ -149,7 +150,9 @@ def _line(subject: Subject, made: Mapping[str, Any]) -> str:
 def _draw_row(axis: Axes, agent: str, curves: Sequence[Curve], colour: str) -> None:
     for curve in curves:
         if len(curve.before_m):
-            axis.plot(curve.times_s, curve.before_m, color=colour, linewidth=1.3, ls=(0, (4, 2)))
+            # Zero at the start has no logarithm.
+            drawn = np.where(curve.before_m > 0, curve.before_m, np.nan)
+            axis.plot(curve.times_s, drawn, color=colour, linewidth=1.3, ls=(0, (4, 2)))
         axis.plot(curve.times_s, curve.after_m, color=colour, linewidth=2.4, zorder=4)
         _draw_ticks(axis, curve)
         if curve.joined_s is not None:
@@ -217,8 +220,10 @@ def _share(axes: Sequence[Axes], curves: Sequence[Curve], own_start: bool) -> No
             axis.set_ylim(middle / 8, top * 4)
         else:
             axis.set_ylim(-0.14 * max(top, 1e-6), 1.3 * max(top, 1e-6))
+            axis.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: view.metres(value)))
+        axis.yaxis.set_minor_locator(NullLocator())
         axis.tick_params(labelbottom=axis is axes[-1], length=0)
-        axis.set_ylabel("m")
     whose = "its own first keyframe" if own_start else "the first keyframe"
     axes[-1].set_xlabel(f"seconds since {whose}")
 

@@ -19,7 +19,7 @@ _FLOOR, _GRID, _SHADOW, _STEM = "#F6F8F9", "#DFE5E8", "#CBD2D8", "#B4BCC3"
 # So many lines from the paths of a panel down to the floor let the eye judge heights.
 _STEMS = 60
 # Squares along the longer side of the floor, at least.
-_SQUARES = 6
+_SQUARES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,18 +30,22 @@ class Floor:
     high: Array
     up: float
 
+    @property
+    def step(self) -> float:
+        """Side of a square of the grid."""
+        return view.nice_length(float(np.max(self.high - self.low)) / _SQUARES)
+
     def corners(self) -> Array:
         """(4, 3) around it."""
         (x0, y0), (x1, y1) = self.low, self.high
         return np.array([[x, y, self.up] for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))])
 
     def grid(self) -> Array:
-        """(G, 2, 3) lines on it, a round length apart."""
-        step = view.nice_length(float(np.max(self.high - self.low)) / _SQUARES)
+        """(G, 2, 3) lines on it."""
         lines = []
         for axis in (0, 1):
             first, last = self.low[axis], self.high[axis]
-            for at in np.arange(np.ceil(first / step) * step, last, step):
+            for at in np.arange(np.ceil(first / self.step) * self.step, last, self.step):
                 line = np.full((2, 3), self.up)
                 line[:, 1 - axis] = self.low[1 - axis], self.high[1 - axis]
                 line[:, axis] = at
@@ -50,16 +54,27 @@ class Floor:
 
 
 def floor_of(shown: Sequence[panels.Panel], plan: Sequence[Array]) -> Floor:
-    """The floor below all paths of panels with the same axes; at height 0 if there is a plan."""
+    """The floor below the paths of panels with the same axes.
+
+    A world with a plan has its floor at 0 and below all of the plan, unless that is much larger.
+    Elsewhere it lies a little below the last panel's paths: those before may have drifted away.
+    """
     R = shown[0].R
-    points = np.concatenate([p for panel in shown for p in (*panel.paths_m, *panel.truths_m)]) @ R.T
-    kept = (
-        np.concatenate([p for panel in shown[-1:] for p in (*panel.paths_m, *panel.truths_m)]) @ R.T
-    )
-    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    size = float(np.max(high - low))
-    up = 0.0 if plan else float(kept[:, 2].min()) - 0.06 * size
-    return Floor(low - 0.04 * size, high + 0.04 * size, up)
+    paths = [[p @ R.T for p in (*panel.paths_m, *panel.truths_m)] for panel in shown]
+    points = np.concatenate([path for panel in paths for path in panel])[:, :2]
+    if plan:
+        outlines = np.concatenate([on_floor(outline) for outline in plan]) @ R.T
+        if np.max(np.ptp(outlines, axis=0)) <= panels.LARGE_PLAN * np.max(np.ptp(points, axis=0)):
+            points = np.concatenate([points, outlines[:, :2]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.03 * float(np.max(high - low))
+    lowest = float(np.concatenate(paths[-1])[:, 2].min())
+    return Floor(low - margin, high + margin, 0.0 if plan else lowest - 2 * margin)
+
+
+def on_floor(outline: Array) -> Array:
+    """Points (K, 3) of an outline (K, 2) of the plan."""
+    return np.column_stack([outline, np.zeros(len(outline))])
 
 
 def draw_map_3d(file: Path, subject: Subject, made: Mapping[str, Any]) -> None:
@@ -75,13 +90,15 @@ def draw_map_3d(file: Path, subject: Subject, made: Mapping[str, Any]) -> None:
         id(panel): floor_of(shown if subject.aligned else [panel], subject.plan) for panel in shown
     }
 
-    def ground(axis: Axes, panel: panels.Panel, _: view.Box) -> None:
+    def ground(axis: Axes, panel: panels.Panel) -> None:
         _draw_floor(axis, panel, floors[id(panel)], subject.plan)
 
-    boxes = panels.boxes(
-        subject, shown, [floors[id(panel)].corners() @ panel.R @ panel.P for panel in shown]
-    )
-    figure = panels.draw(subject, shown, boxes, ground)
+    def squares(axis: Axes, panel: panels.Panel, box: view.Box, drawn: Array) -> None:
+        step = view.metres(floors[id(panel)].step)
+        view.corner_note(axis, box, drawn, f"squares of {step}")
+
+    corners = [floors[id(panel)].corners() @ panel.R @ panel.P for panel in shown]
+    figure = panels.draw(subject, shown, panels.boxes(subject, shown, corners), ground, squares)
     style.headline(figure, captions.title(made), captions.figures(made))
     style.save(figure, file)
 
@@ -90,8 +107,8 @@ def _draw_floor(axis: Axes, panel: panels.Panel, floor: Floor, plan: Sequence[Ar
     onto_plane = panel.R @ panel.P
     _fill(axis, [floor.corners() @ onto_plane], _FLOOR, _GRID, 0.5)
     _lines(axis, floor.grid() @ onto_plane, _GRID, 0.6, 0.6)
-    on_floor = [np.column_stack([outline, np.zeros(len(outline))]) for outline in plan]
-    _fill(axis, [outline @ panel.P for outline in on_floor], style.PLAN_FACE, style.PLAN_EDGE, 1.0)
+    outlines = [on_floor(outline) @ panel.P for outline in plan]
+    _fill(axis, outlines, style.PLAN_FACE, style.PLAN_EDGE, 1.0)
     feet = []
     every = max(1, sum(map(len, panel.paths_m)) // _STEMS)
     for path_m in panel.paths_m:

@@ -21,7 +21,7 @@ _EDGE_IN, _GAP_IN, _NAME_IN = 0.12, 0.14, 0.28
 # A panel that would be flatter than this beside another is given the whole width.
 _FLAT = 0.36
 # A plan that is more than so many times larger than the paths is cut off around them.
-_LARGE_PLAN = 2.5
+LARGE_PLAN = 2.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +52,8 @@ class Panel:
         return [points @ self.P for points in (*self.paths_m, *self.truths_m)]
 
 
-Below = Callable[[Axes, Panel, view.Box], None]
+Below = Callable[[Axes, Panel], None]
+Scale = Callable[[Axes, Panel, view.Box, Array], None]
 
 
 def panels_of(subject: Subject, project: Callable[[Array], Array]) -> list[Panel]:
@@ -111,23 +112,33 @@ def boxes(
     Args:
         subject: What is drawn.
         panels: In which panels.
-        around: (K, 2) what should be seen too on the drawn plane, unless it is much larger.
+        around: (K, 2) what should be seen too on the drawn plane, unless it is much larger; where
+            the panels have frames of their own, one for each.
     """
     if not subject.aligned:
-        return [view.box_of(panel.drawn) for panel in panels]
+        own = [[points] for points in around] or [[] for _ in panels]
+        return [view.box_of([*panel.drawn, *more]) for panel, more in zip(panels, own, strict=True)]
     drawn = [points for panel in panels for points in panel.drawn]
     box = view.box_of(drawn)
     if around:
         whole = view.box_of([*drawn, *around], 0.02)
-        if whole.right - whole.left <= _LARGE_PLAN * (box.right - box.left):
+        if whole.right - whole.left <= LARGE_PLAN * (box.right - box.left):
             box = whole
     return [box] * len(panels)
 
 
 def draw(
-    subject: Subject, panels: Sequence[Panel], shown: Sequence[view.Box], below: Below
+    subject: Subject, panels: Sequence[Panel], shown: Sequence[view.Box], below: Below, scale: Scale
 ) -> Figure:
-    """Arrange the panels on a canvas with a legend; the headline is left to the caller."""
+    """Arrange the panels on a canvas with a legend; the headline is left to the caller.
+
+    Args:
+        subject: What is drawn.
+        panels: In which panels.
+        shown: What each of them shows.
+        below: Draws what lies under the paths.
+        scale: Says how large things are, away from the (N, 2) points it is given.
+    """
     colours = style.colours_of(subject.agents)
     entries = [*style.agent_entries(colours), *_entries(panels)]
     aspect = max(box.aspect for box in shown)
@@ -144,9 +155,11 @@ def draw(
         axis.set_title(panel.name, loc="left", pad=5)
         seen = view.taller(box, aspect)
         view.show(axis, seen)
-        below(axis, panel, seen)
+        below(axis, panel)
         _draw_panel(axis, panel, colours)
-        view.scale_bar(axis, seen, np.concatenate(panel.drawn))
+        # In the same corner where the panels show the same.
+        beside = panels if subject.aligned else [panel]
+        scale(axis, panel, seen, np.concatenate([p for other in beside for p in other.drawn]))
     style.legend(figure, entries)
     return figure
 

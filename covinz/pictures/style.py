@@ -19,6 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
+from numpy.typing import NDArray
 from PIL import Image
 
 # Okabe and Ito's palette without its red, which is kept for what is wrong: told apart by
@@ -34,6 +35,7 @@ TEXT, QUIET = "#1B1F23", "#6A737D"
 WIDTH_IN = 9.0
 DPI = 150
 TITLE_IN = 0.64
+_EXACT_COLOURS = 96
 _SETTINGS = {
     "font.family": "DejaVu Sans",
     "font.size": 10.0,
@@ -90,7 +92,7 @@ def legend(figure: Figure, entries: Sequence[Artist]) -> None:
     figure.legend(
         handles=list(entries),
         loc="lower center",
-        bbox_to_anchor=(0.5, 0.06 / figure.get_size_inches()[1]),
+        bbox_to_anchor=(0.5, 0.08 / figure.get_size_inches()[1]),
         ncols=legend_columns(entries),
         handlelength=1.5,
         handletextpad=0.6,
@@ -132,6 +134,30 @@ def save(figure: Figure, file: Path) -> None:
     """Write a PNG with a palette of 256 colours; the same figure gives the same bytes."""
     drawn = io.BytesIO()
     FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    pixels = Image.open(drawn).convert("RGB")
-    palette = pixels.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    palette.save(file, format="PNG", optimize=True, dpi=(DPI, DPI))
+    pixels = np.asarray(Image.open(drawn).convert("RGB")).astype(np.uint32)
+    packed = pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2]
+    colours, inverse, counts = np.unique(packed, return_inverse=True, return_counts=True)
+    palette, nearest = _palette(colours, counts)
+    picture = Image.fromarray(nearest[inverse].reshape(packed.shape), mode="P")
+    picture.putpalette(palette.tobytes())
+    picture.save(file, format="PNG", optimize=True, dpi=(DPI, DPI))
+
+
+def _palette(
+    packed: NDArray[np.uint32], counts: NDArray[np.int64]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """A palette (P, 3) for packed colours (U,), and the entry (U,) that is nearest to each.
+
+    The most frequent colours are kept as they are. The rest of the palette is spread over the other
+    colours, each counted once, so that a single wrong loop stays red.
+    """
+    colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=1).astype(np.uint8)
+    order = np.argsort(-counts, kind="stable")
+    palette, rest = colours[order[:_EXACT_COLOURS]], colours[order[_EXACT_COLOURS:]]
+    if len(rest):
+        mixed = Image.fromarray(rest[None]).quantize(256 - len(palette), Image.Quantize.MEDIANCUT)
+        spread = np.array(mixed.getpalette(), dtype=np.uint8).reshape(-1, 3)
+        palette = np.concatenate([palette, spread[: 256 - len(palette)]])
+    difference = colours[:, None].astype(np.int32) - palette[None].astype(np.int32)
+    nearest = (difference**2).sum(axis=-1).argmin(axis=1)
+    return palette, nearest.astype(np.uint8)

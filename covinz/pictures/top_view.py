@@ -11,6 +11,7 @@ from matplotlib.collections import PolyCollection
 
 from covinz.pictures import captions, panels, style, view
 from covinz.pictures.subject import Subject
+from covinz.types import Array
 
 
 def draw_top_view(file: Path, subject: Subject, made: Mapping[str, Any]) -> None:
@@ -22,7 +23,7 @@ def draw_top_view(file: Path, subject: Subject, made: Mapping[str, Any]) -> None
         made: Its report.
     """
 
-    def plan(axis: Axes, panel: panels.Panel, _: view.Box) -> None:
+    def plan(axis: Axes, panel: panels.Panel) -> None:
         outlines = PolyCollection(
             [outline @ panel.P[:2] for outline in subject.plan],
             facecolors=style.PLAN_FACE,
@@ -32,8 +33,11 @@ def draw_top_view(file: Path, subject: Subject, made: Mapping[str, Any]) -> None
         outlines.set_zorder(1)
         axis.add_collection(outlines, autolim=False)
 
+    def bar(axis: Axes, _: panels.Panel, box: view.Box, drawn: Array) -> None:
+        view.scale_bar(axis, box, drawn)
+
     shown = panels.panels_of(subject, view.from_above)
     around = [outline @ shown[0].P[:2] for outline in subject.plan]
-    figure = panels.draw(subject, shown, panels.boxes(subject, shown, around), plan)
+    figure = panels.draw(subject, shown, panels.boxes(subject, shown, around), plan, bar)
     style.headline(figure, captions.title(made), captions.figures(made))
     style.save(figure, file)

@@ -103,14 +103,7 @@ def scale_bar(axis: Axes, box: Box, drawn: Array) -> None:
     """A bar of a round length in the corner where the fewest of the drawn (N, 2) points are."""
     width = box.right - box.left
     length, inset = nice_length(width / 4), 0.03 * width
-    room = np.array([length + 2 * inset, 0.09 * width])
-    corners = [
-        np.array([x, y])
-        for y in (box.bottom, box.top - room[1])
-        for x in (box.left, box.right - room[0])
-    ]
-    counts = [int(((drawn >= c) & (drawn <= c + room)).all(axis=1).sum()) for c in corners]
-    x, y = corners[int(np.argmin(counts))] + inset
+    x, y = _emptiest(box, drawn, np.array([length + 2 * inset, 0.09 * width])) + inset
     bar = Line2D([x, x + length], [y, y], color=style.TEXT, linewidth=2.2, zorder=9)
     bar.set(solid_capstyle="butt", path_effects=style.halo(5))
     axis.add_line(bar)
@@ -127,8 +120,41 @@ def scale_bar(axis: Axes, box: Box, drawn: Array) -> None:
     )
 
 
+def corner_note(axis: Axes, box: Box, drawn: Array, words: str) -> None:
+    """A word in the corner where the fewest of the drawn (N, 2) points are."""
+    width = box.right - box.left
+    room = np.array([0.28, 0.06]) * width
+    x, y = _emptiest(box, drawn, room) + room / 2
+    axis.text(
+        x,
+        y,
+        words,
+        ha="center",
+        va="center",
+        fontsize=9,
+        color=style.QUIET,
+        path_effects=style.halo(),
+        zorder=9,
+    )
+
+
+def _emptiest(box: Box, drawn: Array, room: Array) -> Array:
+    """Lower left point of the room (2,) in that corner of the box; the lower left one if equal."""
+    corners = [
+        np.array([x, y])
+        for y in (box.bottom, box.top - room[1])
+        for x in (box.left, box.right - room[0])
+    ]
+    counts = [int(((drawn >= c) & (drawn <= c + room)).all(axis=1).sum()) for c in corners]
+    return corners[int(np.argmin(counts))]
+
+
 def metres(length_m: float) -> str:
-    """A round length for people: 20 cm, 5 m, 2 km."""
+    """A round length for people: 2 mm, 20 cm, 5 m, 2 km."""
+    if length_m == 0:
+        return "0"
+    if length_m < 0.00999:
+        return f"{1000 * length_m:g} mm"
     if length_m < 0.999:
         return f"{100 * length_m:g} cm"
     return f"{length_m:g} m" if length_m < 999 else f"{length_m / 1000:g} km"
