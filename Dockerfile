@@ -69,7 +69,7 @@ ENV PATH=/opt/covinz/bin:$PATH \
     OMP_NUM_THREADS=1 \
     OPENBLAS_NUM_THREADS=1
 # A library that is missing is noticed here, not on the server.
-RUN python -c "import covinz.health, covinz_core, services.place_recognition.service"
+RUN python -c "import covinz.cli, covinz_core, services.place_recognition.service"
 
 USER covinz
 EXPOSE 7447

@@ -7,7 +7,7 @@ STAMPS := .setup
 JOBS ?= 2
 
 CORE_SOURCES := $(shell find core -path core/build -prune -o -type f -print)
-PYTHON_DIRS := covinz services agents/covinz_agents benchmarks tests vocabulary schemas
+PYTHON_DIRS := covinz services agents/covinz_agents benchmarks scripts tests vocabulary schemas
 
 # One thread for linear algebra in every process: the machine's cores belong to the workers.
 export OMP_NUM_THREADS := 1
@@ -47,7 +47,7 @@ $(STAMPS)/packages: pyproject.toml agents/pyproject.toml | $(STAMPS)/venv
 	$(BIN)/python -m pip install --quiet --no-build-isolation --no-deps -e . -e agents
 	@touch $@
 
-# The fast suite.
+# The fast suite; compose itself reads docker-compose.yml in it.
 check: setup
 	$(BIN)/python -m pytest -q -m "not slow" tests/unit tests/contract
 
@@ -58,7 +58,7 @@ test: lint core-tests core-sanitize
 lint: setup
 	$(BIN)/ruff check $(PYTHON_DIRS)
 	$(BIN)/ruff format --check $(PYTHON_DIRS)
-	$(BIN)/mypy covinz services agents/covinz_agents
+	$(BIN)/mypy covinz services agents/covinz_agents scripts
 	$(BIN)/lint-imports
 	find core -path core/build -prune -o \( -name '*.cc' -o -name '*.h' \) -print | xargs clang-format --dry-run -Werror
 

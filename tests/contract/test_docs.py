@@ -26,7 +26,7 @@ MESSAGES = (ROOT / "schemas" / "README.md").read_text()
 
 CODE = re.compile(r"`([^`\n]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
-FOLDERS = "agents|benchmarks|core|covinz|docs|schemas|scenarios|services|tests|vocabulary"
+FOLDERS = "agents|benchmarks|core|covinz|docs|schemas|scenarios|scripts|services|tests|vocabulary"
 # `services/ingest/admission.py`, `schemas/*.fbs`, `vocabulary/`; not the key `covinz/loop`.
 REPOSITORY_PATH = re.compile(rf"(?:{FOLDERS})/[\w./*-]*")
 KEY = re.compile(r"covinz/(?:agent|camera|job|keyframe|log|loop|map|rejection|service)(?:/.*)?")
