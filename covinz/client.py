@@ -49,6 +49,19 @@ class Progress:
         at_work = self.open_jobs or self.busy_workers or self.dirty
         return done and not at_work and not self.missing
 
+    def __str__(self) -> str:
+        """What is left to do, for a person."""
+        left = [
+            (self.head - self.looked_up, "keyframes to look up"),
+            (self.head - self.mapped, "keyframes to map"),
+            (self.open_jobs, "jobs open"),
+            (self.busy_workers, "loop solvers at work"),
+        ]
+        parts = [f"{count} {what}" for count, what in left if count > 0]
+        parts += ["maps to optimise"] if self.dirty else []
+        parts += [f"missing: {name}" for name in self.missing]
+        return ", ".join(parts) or "nothing left to do"
+
 
 def statuses(bus: Bus, service: str = "*") -> list[Status]:
     """Status of every process that answers, sorted by service and instance."""

@@ -45,6 +45,16 @@ def test_idle_is_when_nothing_is_left_to_do() -> None:
     assert progress(*IDLE.values(), WORKER).idle
 
 
+def test_what_is_left_is_said_in_words() -> None:
+    assert str(progress(*IDLE.values())) == "nothing left to do"
+    busy = changed("place_recognition", cursor=5, pending=72, leased=1)
+    assert str(progress(*busy)) == "2 keyframes to look up, 73 jobs open"
+    late = changed("optimizer", cursor=4, dirty=True)
+    assert str(progress(*late)) == "3 keyframes to map, maps to optimise"
+    absent = list(IDLE.values())[1:]
+    assert str(progress(*absent)) == "missing: ingest"
+
+
 @pytest.mark.parametrize(
     "statuses",
     [
