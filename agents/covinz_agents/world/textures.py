@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from covinz_agents.world import textures_houses, textures_plant, textures_street
 from covinz_agents.world.geometry import Face, World
 from covinz_agents.world.noise import Field, Patch, blotches, finished, fractal, grain, shade
 
@@ -16,15 +17,19 @@ _SIDES_PX = np.array([16, 32, 64, 96, 128, 192, 256, 384, 512, 768])
 # Texture pixels per metre of small things and of large surfaces (longest side of 5 m or more).
 _SMALL_PX_PER_M, _LARGE_PX_PER_M = 190.0, 110.0
 
+# Of that, outdoors, where everything is further away.
+_OUTDOORS_SHARE = 0.4
+
 Material = Callable[[Patch], Field]
 
 
-def texture_size_px(face: Face) -> tuple[int, int]:
+def texture_size_px(face: Face, *, outdoors: bool = False) -> tuple[int, int]:
     """Width and height of a face's texture."""
     sides_m = np.linalg.norm(face.u_m, axis=-1), np.linalg.norm(face.v_m, axis=-1)
     longest = max(sides_m)
     share = np.clip((longest - 1.0) / 4.0, 0, 1)
     density = _SMALL_PX_PER_M + share * (_LARGE_PX_PER_M - _SMALL_PX_PER_M)
+    density *= _OUTDOORS_SHARE if outdoors else 1.0
     width, height = (
         int(_SIDES_PX[np.abs(np.log(_SIDES_PX / (side * density))).argmin()]) for side in sides_m
     )
@@ -45,7 +50,7 @@ def painted_texture(world: World, number: int, variant: int = 0) -> NDArray[np.u
     face = world.faces[number]
     if face.material not in _materials():
         raise ValueError(f"unknown material {face.material!r}")
-    width, height = texture_size_px(face)
+    width, height = texture_size_px(face, outdoors=world.outdoors)
     patch = Patch(
         np.random.default_rng([world.seed, number, variant]),
         width,
@@ -57,7 +62,13 @@ def painted_texture(world: World, number: int, variant: int = 0) -> NDArray[np.u
 
 
 def _materials() -> Mapping[str, Material]:
-    return {"concrete": _concrete}
+    # Later ones win where two have a name in common.
+    return {
+        **textures_plant.MATERIALS,
+        **textures_street.MATERIALS,
+        **textures_houses.MATERIALS,
+        "concrete": _concrete,
+    }
 
 
 def _concrete(patch: Patch) -> Field:
