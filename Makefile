@@ -83,7 +83,7 @@ bench: setup
 	$(BIN)/python -m benchmarks.readme
 
 demo: setup
-	$(BIN)/covinz run scenarios/simulated.yaml
+	$(BIN)/covinz run scenarios/hall.yaml --workers 2
 
 schemas: setup
 	$(BIN)/python schemas/generate.py

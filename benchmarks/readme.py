@@ -15,7 +15,7 @@ _README = _REPOSITORY / "README.md"
 _BEGIN = "<!-- results: written by benchmarks/readme.py -->"
 _END = "<!-- end of results -->"
 _WHAT = {
-    "simulated": "simulated hall, three robots",
+    "hall": "generated hall, rendered images, three robots",
     "redkitchen": "7-Scenes redkitchen: real images, real RGB-D odometry, three robots",
     "fr1_rpy": "TUM fr1_rpy: two robots that only turn, the degenerate case",
 }

@@ -21,7 +21,7 @@ from typing import Any
 _REPOSITORY = Path(__file__).resolve().parents[1]
 _DATA = Path(os.environ.get("COVINZ_DATA", _REPOSITORY.parent / "shared" / "data"))
 # Scenario, and the recording that it needs.
-_SCENARIOS = (("simulated", None), ("redkitchen", "redkitchen"), ("fr1_rpy", "fr1_rpy"))
+_SCENARIOS = (("hall", None), ("redkitchen", "redkitchen"), ("fr1_rpy", "fr1_rpy"))
 
 
 def run(name: str) -> dict[str, Any]:

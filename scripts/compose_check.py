@@ -33,7 +33,7 @@ from scripts.compose_project import (
     until,
 )
 
-DEFAULT_SCENARIO = CHECKOUT / "scenarios" / "simulated.yaml"
+DEFAULT_SCENARIO = CHECKOUT / "scenarios" / "hall.yaml"
 BEGAN_S = time.monotonic()
 
 

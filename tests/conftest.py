@@ -33,6 +33,14 @@ def recorded_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session", autouse=True)
+def image_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Rendered images are made once in a run of the tests, and nothing is left in the home."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COVINZ_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 @pytest.fixture
 def free_endpoint() -> str:
     """A loopback endpoint that nobody listens on."""

@@ -1,1 +1,1 @@
-"""Front-ends that play a robot: recorded data sets and a simulated world."""
+"""Front-ends that play a robot: recorded data sets and generated worlds."""

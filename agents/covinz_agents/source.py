@@ -37,7 +37,7 @@ class Frame:
 
 
 class Source(Protocol):
-    """A recording or simulation of one robot."""
+    """A recording or a rendered robot."""
 
     @property
     def camera(self) -> Camera:

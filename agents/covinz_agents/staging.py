@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from covinz.scenario import (
     DriftingGroundTruth,
     RenderedAgent,
     Scenario,
-    SimulatedAgent,
     TumAgent,
     generated_groundtruth_file,
 )
@@ -27,7 +26,6 @@ from covinz.types import Array
 from covinz_agents.asl import AslRecording
 from covinz_agents.drift import keyframe_covariances
 from covinz_agents.selection import select_keyframes
-from covinz_agents.simulator import SimulatedRobot
 from covinz_agents.source import DatasetError, Frame, Source
 from covinz_agents.tum import TumRecording
 
@@ -68,8 +66,6 @@ def open_source(agent: Agent, scenario: Scenario) -> Source:
             return AslRecording(_seeded(agent, scenario.seed))
         case RenderedAgent():
             return _rendered(agent, scenario)
-        case SimulatedAgent():
-            return cast(Source, SimulatedRobot(agent, scenario.world))
 
 
 def stage(
@@ -91,10 +87,6 @@ def stage(
         DatasetError, TrajectoryError, ConfigError: If a robot cannot be played.
     """
     parts = [_part(agent, open_source(agent, scenario)) for agent in scenario.agents]
-    for part in parts:
-        if isinstance(part.source, SimulatedRobot):
-            results.mkdir(parents=True, exist_ok=True)
-            write_tum(generated_groundtruth_file(part.id, results), part.source.groundtruth)
     if any(isinstance(agent, RenderedAgent) for agent in scenario.agents):
         _render(scenario, parts, results, stop, on_rendering)
     return parts
@@ -104,13 +96,12 @@ def _part(agent: Agent, source: Source) -> Part:
     source.camera  # noqa: B018 - a recording without calibration must fail before anything is sent
     keyframes = select_keyframes(source.frames, agent.keyframes)
     covariance: dict[int, Array] = {}
-    odometry = None if isinstance(agent, SimulatedAgent) else agent.odometry
-    if isinstance(odometry, DriftingGroundTruth):
+    if isinstance(agent.odometry, DriftingGroundTruth):
         rows = {frame.number: row for row, frame in enumerate(source.frames)}
         stated = keyframe_covariances(
             np.array([frame.T_odom_body for frame in source.frames]),
             [rows[frame.number] for frame in keyframes],
-            odometry.drift,
+            agent.odometry.drift,
         )
         pairs = zip(keyframes, stated, strict=True)
         covariance = {frame.number: known for frame, known in pairs if known is not None}

@@ -30,7 +30,6 @@ from covinz.scenario.scenes import (
     Scene,
     Sensor,
 )
-from covinz.scenario.simulated import SimulatedAgent, Walk, World
 
 __all__ = [
     "Agent",
@@ -51,12 +50,9 @@ __all__ = [
     "Scenario",
     "Scene",
     "Sensor",
-    "SimulatedAgent",
     "SmoothPath",
     "TumAgent",
-    "Walk",
     "WaypointPath",
-    "World",
     "generated_groundtruth_file",
     "groundtruth",
     "load_scenario",

@@ -19,14 +19,11 @@ from covinz.config import Config, ConfigError, Count, Section, merge, read_yaml,
 from covinz.scenario.recordings import AslAgent, TumAgent, recorded_groundtruth
 from covinz.scenario.rendered import RenderedAgent
 from covinz.scenario.scenes import Scene
-from covinz.scenario.simulated import SimulatedAgent, World
 from covinz.trajectory import Trajectory, read_tum
 
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^}]*))?\}")
 
-Agent = Annotated[
-    TumAgent | AslAgent | RenderedAgent | SimulatedAgent, Field(discriminator="reader")
-]
+Agent = Annotated[TumAgent | AslAgent | RenderedAgent, Field(discriminator="reader")]
 
 
 class Scenario(Section):
@@ -40,8 +37,6 @@ class Scenario(Section):
     seed: Count = 0
     # The world of the rendered agents.
     scene: Scene | None = None
-    # The hall of the simulated agents.
-    world: World = World()
     agents: Annotated[tuple[Agent, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -83,26 +78,25 @@ def load_scenario(path: Path, environ: Mapping[str, str] | None = None) -> Scena
 def groundtruth(scenario: Scenario, agent_id: str, played: Path) -> Trajectory | None:
     """True poses ``T_world_body`` of an agent; None where the scenario has none.
 
-    All agents of a recording, all simulated ones, and all rendered ones share the world frame.
+    All agents of a recording, and all rendered ones, share the world frame.
 
     Args:
         scenario: The scenario that was played.
         agent_id: One of its agents.
-        played: Folder in which the player left the ground truth of simulated and rendered
-            agents.
+        played: Folder in which the player left the ground truth of rendered agents.
 
     Raises:
         TrajectoryError: If a file is missing or malformed.
         ConfigError: If the calibration is.
     """
     agent = scenario.agent(agent_id)
-    if isinstance(agent, SimulatedAgent | RenderedAgent):
+    if isinstance(agent, RenderedAgent):
         return read_tum(generated_groundtruth_file(agent_id, played))
     return recorded_groundtruth(agent)
 
 
 def generated_groundtruth_file(agent_id: str, played: Path) -> Path:
-    """Where the player leaves the ground truth of a simulated or rendered agent."""
+    """Where the player leaves the ground truth of a rendered agent."""
     return played / f"{agent_id}.groundtruth.tum"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import signal
 import subprocess
 import threading
@@ -14,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from covinz_agents.rendered import RenderedRobot
 from covinz_agents.selection import select_keyframes
-from covinz_agents.simulator import SimulatedRobot
 
 from covinz import client, codec, keyexprs
 from covinz.bus import Bus, ZenohBus
-from covinz.config import BusConfig, Config, KeyframeSelectionConfig, load
+from covinz.config import BusConfig, Config, load
 from covinz.keyframes import RemoteKeyframeStore
-from covinz.scenario import SimulatedAgent, Walk, World
+from covinz.scenario import RenderedAgent, Scenario
 from covinz.types import (
     JobDone,
     JobRecord,
@@ -37,6 +38,7 @@ from covinz.types import (
 )
 from services.loop_solver.solver import LoopSolver
 from services.place_recognition.service import recognizer_factory
+from tests.small_world import CAMERA, SCENE, arc
 
 pytestmark = pytest.mark.slow
 
@@ -107,21 +109,27 @@ class System:
             file.unlink()
 
 
-def simulated_keyframes() -> list[tuple[SimulatedRobot, Keyframe]]:
-    """Two robots on one walk, one behind the other, in stamp order."""
+def rendered_keyframes() -> list[tuple[RenderedRobot, Keyframe]]:
+    """Two robots on one way, one behind the other, in stamp order."""
+    entries = [
+        {
+            "id": f"agent{number}",
+            "reader": "rendered",
+            "camera": CAMERA,
+            "path": arc(0.15 * number, math.pi, 2.0 * number),
+            "keyframes": {"translation_m": 0.3, "rotation_rad": 0.25},
+        }
+        for number in range(2)
+    ]
+    scenario = Scenario.model_validate({"name": "small", "scene": SCENE, "agents": entries})
     made = []
-    for number, agent_id in enumerate(("agent0", "agent1")):
-        agent = SimulatedAgent(
-            id=agent_id,
-            reader="simulated",
-            walk=Walk(start_rad=0.15 * number, start_s=2.0 * number),
-            keyframes=KeyframeSelectionConfig(translation_m=0.3, rotation_rad=0.25),
-        )
-        robot = SimulatedRobot(agent, World(seed=3))
+    for number, agent in enumerate(scenario.agents):
+        assert isinstance(agent, RenderedAgent)
+        robot = RenderedRobot(agent, scenario)
         session = f"01ARZ3NDEKTSV4RRFFQ69G5FA{number}"
         chosen = select_keyframes(robot.frames, agent.keyframes)[:NUM_KEYFRAMES]
         for seq, frame in enumerate(chosen):
-            kf_id = KeyframeId(agent_id, session, seq)
+            kf_id = KeyframeId(agent.id, session, seq)
             features = robot.features(frame)
             kf = Keyframe(kf_id, frame.stamp_ns, frame.T_odom_body, robot.camera.hash, features)
             made.append((robot, kf))
@@ -129,8 +137,8 @@ def simulated_keyframes() -> list[tuple[SimulatedRobot, Keyframe]]:
 
 
 @pytest.fixture(scope="module")
-def recording() -> list[tuple[SimulatedRobot, Keyframe]]:
-    return simulated_keyframes()
+def recording() -> list[tuple[RenderedRobot, Keyframe]]:
+    return rendered_keyframes()
 
 
 @pytest.fixture
@@ -139,7 +147,7 @@ def system(
     config_file: Path,
     start_service: StartProcess,
     open_bus: Callable[[], ZenohBus],
-    recording: list[tuple[SimulatedRobot, Keyframe]],
+    recording: list[tuple[RenderedRobot, Keyframe]],
 ) -> Iterator[System]:
     """The log holds the recording; place recognition is not started."""
     start_service("router")
@@ -173,7 +181,7 @@ def outcomes(records: list[JobRecord]) -> list[bytes]:
     return found
 
 
-def expected_jobs(config: Config, recording: list[tuple[SimulatedRobot, Keyframe]]) -> list[bytes]:
+def expected_jobs(config: Config, recording: list[tuple[RenderedRobot, Keyframe]]) -> list[bytes]:
     """The job list that the log implies, made without any process."""
     recognizer = recognizer_factory(config)()
     entries = [LogEntry(i, over_the_wire(kf)) for i, (_, kf) in enumerate(recording)]
@@ -216,7 +224,7 @@ def solve_in_disorder(system: System, hands: int) -> None:
 
 
 def test_one_worker_three_workers_and_disorder_agree(
-    system: System, recording: list[tuple[SimulatedRobot, Keyframe]]
+    system: System, recording: list[tuple[RenderedRobot, Keyframe]]
 ) -> None:
     head = len(recording)
     system.start("optimizer")
@@ -250,7 +258,7 @@ def test_one_worker_three_workers_and_disorder_agree(
 
 
 def test_a_worker_killed_in_the_middle_of_a_job(
-    system: System, recording: list[tuple[SimulatedRobot, Keyframe]]
+    system: System, recording: list[tuple[RenderedRobot, Keyframe]]
 ) -> None:
     system.start("optimizer")
     system.start("place_recognition")
@@ -267,7 +275,7 @@ def test_a_worker_killed_in_the_middle_of_a_job(
 
 
 def test_place_recognition_killed_at_work(
-    system: System, recording: list[tuple[SimulatedRobot, Keyframe]]
+    system: System, recording: list[tuple[RenderedRobot, Keyframe]]
 ) -> None:
     system.start("optimizer")
     for i in range(2):
@@ -297,7 +305,7 @@ def test_place_recognition_killed_at_work(
 
 
 def test_sigterm_ends_processes_cleanly(
-    system: System, recording: list[tuple[SimulatedRobot, Keyframe]]
+    system: System, recording: list[tuple[RenderedRobot, Keyframe]]
 ) -> None:
     system.start("optimizer")
     idle = system.start("loop_solver", "idle")

@@ -17,18 +17,20 @@ from covinz import codec, keyexprs
 from covinz.scenario import groundtruth, load_scenario
 from covinz.types import Keyframe, LogHead, LogView
 from tests.processes import CHECKOUT, PATIENCE_S, Processes
+from tests.small_world import CAMERA, SCENE, arc
 
 SCENARIO: dict[str, Any] = {
     "name": "small",
-    "world": {"seed": 3, "landmark_density": 20},
+    "scene": SCENE,
     "defaults": {
-        "reader": "simulated",
+        "reader": "rendered",
+        "camera": CAMERA,
         "features": {"num_features": 200},
         "keyframes": {"translation_m": 0.4, "rotation_rad": 0.4},
     },
     "agents": [
-        {"id": "b", "walk": {"laps": 0.3}},
-        {"id": "a", "walk": {"laps": -0.4, "center_m": [1.0, 0.0]}},
+        {"id": "b", "path": arc(0.0, 1.9)},
+        {"id": "a", "path": arc(0.0, -2.5)},
     ],
 }
 

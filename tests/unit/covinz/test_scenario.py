@@ -12,8 +12,8 @@ from covinz.config import ConfigError
 from covinz.scenario import (
     DriftingGroundTruth,
     FileOdometry,
+    RenderedAgent,
     Scenario,
-    SimulatedAgent,
     TumAgent,
     generated_groundtruth_file,
     groundtruth,
@@ -33,6 +33,13 @@ defaults:
 agents:
   - {id: a0, frames: [0, 9]}
   - {id: a1, times_s: ["1.5", "2.000000001"], keyframes: {rotation_rad: 0.3}}
+"""
+
+RENDERED = """
+name: generated
+scene: {kind: hall}
+agents:
+  - {id: r0, reader: rendered, path: {kind: waypoints, points_m: [[0, 0, 1], [1, 0, 1], [1, 1, 1]]}}
 """
 
 
@@ -97,6 +104,35 @@ def test_bad_entries_are_named(tmp_path: Path, old: str, new: str, message: str)
     assert "test.yaml" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("scene: {kind: hall}", "seed: 1", "r0 is rendered: give the scene it is in"),
+        ("scene: {kind: hall}", "scene: {kind: moon}", "does not match any of the expected tags"),
+        ("kind: waypoints", "kind: straight", "does not match any of the expected tags"),
+        ("kind: waypoints", "kind: waypoints, laps: 2", "laps are for closed paths"),
+        ("[1, 0, 1], [1, 1, 1]", "[1, 0, 1], [1, 0, 1]", "neighbouring points are the same"),
+        (
+            "[1, 1, 1]]",
+            "[0, 0, 1]], closed: true",
+            "neighbouring points are the same",
+        ),
+        (
+            "kind: waypoints, points_m: [[0, 0, 1], [1, 0, 1], [1, 1, 1]]",
+            'kind: file, file: x.tum, times_s: ["2", "1"]',
+            "the first time comes after the last",
+        ),
+    ],
+)
+def test_bad_entries_of_rendered_robots_are_named(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    assert old in RENDERED
+    load(tmp_path, RENDERED)
+    with pytest.raises(ConfigError, match=message):
+        load(tmp_path, RENDERED.replace(old, new))
+
+
 def test_a_scenario_without_agents_is_an_error(tmp_path: Path) -> None:
     for text in ("name: x", "name: x\nagents: []", "name: x\nagents: [1]", "- 1"):
         with pytest.raises(ConfigError):
@@ -127,9 +163,11 @@ def test_redkitchen_is_three_disjoint_thirds_with_real_odometry() -> None:
 def test_other_scenarios_have_what_their_kind_needs() -> None:
     for agent in recorded(load_scenario(SCENARIOS / "fr1_rpy.yaml", {})):
         assert isinstance(agent.odometry, DriftingGroundTruth)
-    simulated = load_scenario(SCENARIOS / "simulated.yaml", {}).agents
-    assert all(isinstance(agent, SimulatedAgent) for agent in simulated)
-    assert len(simulated) == 3
+    hall = load_scenario(SCENARIOS / "hall.yaml", {})
+    assert all(isinstance(agent, RenderedAgent) for agent in hall.agents)
+    assert len(hall.agents) == 3
+    looks = [agent.look for agent in hall.agents if isinstance(agent, RenderedAgent)]
+    assert len({look.light for look in looks}) == 3
 
 
 def test_groundtruth_of_a_camera_becomes_that_of_the_body(tmp_path: Path) -> None:
@@ -151,10 +189,10 @@ def test_groundtruth_of_a_camera_becomes_that_of_the_body(tmp_path: Path) -> Non
     assert groundtruth(load(tmp_path, RECORDED), "a0", tmp_path) is None
 
 
-def test_groundtruth_of_a_simulated_agent_is_what_the_player_left(tmp_path: Path) -> None:
-    scenario = load(tmp_path, "name: s\nagents: [{id: s0, reader: simulated}]")
+def test_groundtruth_of_a_rendered_agent_is_what_the_player_left(tmp_path: Path) -> None:
+    scenario = load(tmp_path, RENDERED)
     left = Trajectory(np.array([7]), np.eye(4)[None])
-    write_tum(generated_groundtruth_file("s0", tmp_path), left)
-    read = groundtruth(scenario, "s0", tmp_path)
+    write_tum(generated_groundtruth_file("r0", tmp_path), left)
+    read = groundtruth(scenario, "r0", tmp_path)
     assert read is not None
     assert read.stamps_ns.tolist() == [7]
