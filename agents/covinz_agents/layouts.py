@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import cv2
 import numpy as np
@@ -17,21 +17,14 @@ from numpy.typing import NDArray
 from covinz import frames
 from covinz.trajectory import Trajectory, format_stamp_ns, write_tum
 from covinz.types import Array, Camera
-from covinz_agents.source import DatasetError, Frame, Source
+from covinz_agents.source import DatasetError, Source
 
 ODOMETRY = Path("odometry.tum")
 # Called with the number of images written so far.
 Progress = Callable[[int], None]
 
 
-class ImageSource(Source, Protocol):
-    """A robot whose images can be had."""
-
-    def image(self, frame: Frame) -> NDArray[np.uint8]:
-        """A frame's image, (H, W) grey or (H, W, 3) BGR."""
-
-
-def write_asl(folder: Path, robot: ImageSource, progress: Progress = lambda _: None) -> None:
+def write_asl(folder: Path, robot: Source, progress: Progress = lambda _: None) -> None:
     """Write a robot's images, calibration and true poses in the ASL layout of EuRoC.
 
     Odometry, which the layout has no place for, is in `ODOMETRY`: ``T_odom_body``.
@@ -61,7 +54,7 @@ def write_asl(folder: Path, robot: ImageSource, progress: Progress = lambda _: N
         (truth / "data.csv").write_text(_pose_csv(robot.groundtruth))
 
 
-def write_tum_layout(folder: Path, robot: ImageSource, progress: Progress = lambda _: None) -> None:
+def write_tum_layout(folder: Path, robot: Source, progress: Progress = lambda _: None) -> None:
     """Write a robot's images, calibration, odometry and true poses in the layout of TUM RGB-D.
 
     Poses are the body's: ``T_odom_body`` in `ODOMETRY`, ``T_world_body`` in ``groundtruth.txt``.
@@ -97,7 +90,7 @@ def write_tum_layout(folder: Path, robot: ImageSource, progress: Progress = lamb
 
 
 # How to write a layout, and what of an agent's entry in a scenario names its files.
-Writer = Callable[[Path, ImageSource, Progress], None]
+Writer = Callable[[Path, Source, Progress], None]
 LAYOUTS: Final[Mapping[str, tuple[Writer, Mapping[str, object]]]] = {
     "asl": (write_asl, {"groundtruth": "mav0/state_groundtruth_estimate0/data.csv"}),
     "tum": (write_tum_layout, {"groundtruth": {"file": "groundtruth.txt", "frame": "body"}}),

@@ -13,7 +13,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 from rich.console import Console
@@ -22,7 +22,7 @@ from rich.progress import Progress
 from covinz.config import ConfigError
 from covinz.scenario import Agent, Scenario, load_scenario
 from covinz.trajectory import TrajectoryError
-from covinz_agents.layouts import LAYOUTS, ODOMETRY, ImageSource
+from covinz_agents.layouts import LAYOUTS, ODOMETRY
 from covinz_agents.source import DatasetError
 from covinz_agents.staging import open_source
 
@@ -60,19 +60,12 @@ def record(scenario: Scenario, out: Path, layout: str) -> None:
     write, _ = LAYOUTS[layout]
     with Progress(console=Console(stderr=True)) as bars:
         for agent in scenario.agents:
-            robot = _with_images(agent, scenario)
+            robot = open_source(agent, scenario)
             task = bars.add_task(agent.id, total=len(robot.frames))
             write(out / agent.id, robot, lambda done, task=task: bars.update(task, completed=done))  # type: ignore[misc]
     entries = [_entry(agent, out, layout) for agent in scenario.agents]
     played = {"name": scenario.name, "config": dict(scenario.config), "agents": entries}
     (out / "scenario.yaml").write_text(yaml.safe_dump(played, sort_keys=False))
-
-
-def _with_images(agent: Agent, scenario: Scenario) -> ImageSource:
-    source = open_source(agent, scenario)
-    if not hasattr(source, "image"):
-        raise DatasetError(f"{agent.id}: a robot of the reader {agent.reader} has no images")
-    return cast(ImageSource, source)
 
 
 def _entry(agent: Agent, out: Path, layout: str) -> dict[str, Any]:

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from covinz.trajectory import Trajectory
 from covinz.types import Array, Camera, Features, frozen_array
 
@@ -54,6 +57,9 @@ class Source(Protocol):
     @property
     def groundtruth(self) -> Trajectory | None:
         """True poses ``T_world_body``, if they are known."""
+
+    def image(self, frame: Frame) -> NDArray[np.uint8]:
+        """A frame's image, (H, W) grey or (H, W, 3) BGR; raises DatasetError."""
 
     def features(self, frame: Frame) -> Features:
         """Features of a frame; raises DatasetError when its image cannot be read."""
