@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,3 +61,13 @@ class World:
     def __post_init__(self) -> None:
         for name in ("low_m", "high_m"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (3,)))
+
+    @property
+    def digest(self) -> str:
+        """Content hash (16 hex digits): part of the names of files made from this world."""
+        digest = hashlib.blake2b(f"{self.seed} {self.outdoors}\n".encode(), digest_size=8)
+        for face in self.faces:
+            digest.update(f"{face.material}\n".encode())
+            for side in (face.corner_m, face.u_m, face.v_m):
+                digest.update(side.astype("<f8").tobytes())
+        return digest.hexdigest()

@@ -59,26 +59,6 @@ class Patch:
         return options[int(self.rng.integers(len(options)))]
 
 
-def lattice(patch: Patch, cell_x_m: float, cell_y_m: float) -> Field:
-    """(H, W) smooth noise of mean 0 and deviation about 1, with cells of a size."""
-    columns = max(patch.width_m / cell_x_m, 0.5)
-    rows = max(patch.height_m / cell_y_m, 0.5)
-    # A lattice is drawn with a border so that the noise does not end flat at the edges.
-    size = int(np.ceil(rows)) + 4, int(np.ceil(columns)) + 4
-    values = patch.rng.standard_normal(size, dtype=np.float32)
-    step_x, step_y = columns / patch.width_px, rows / patch.height_px
-    start = patch.rng.uniform(1.0, 2.0, 2)
-    take = np.array([[step_x, 0, start[0]], [0, step_y, start[1]]])
-    smooth = cv2.warpAffine(
-        values,
-        take,
-        (patch.width_px, patch.height_px),
-        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REFLECT_101,
-    )
-    return np.asarray(1.4 * smooth, dtype=np.float32)
-
-
 def fractal(
     patch: Patch,
     coarsest_m: float,
@@ -96,15 +76,42 @@ def fractal(
         gain: Weight of an octave relative to the next coarser one.
         stretch: How many times longer cells are along y than along x.
     """
-    total = np.zeros(patch.shape, dtype=np.float32)
-    weight, power, cell = 1.0, 0.0, coarsest_m
-    while cell >= max(finest_m, 2 / patch.px_per_m) or power == 0.0:
-        total += np.float32(weight) * lattice(patch, cell, cell * stretch)
-        power += weight**2
-        weight *= gain
-        cell /= 2
-    total /= np.float32(np.sqrt(power))
-    return total
+    finest = max(finest_m, 2 / (patch.px_per_m * min(1.0, stretch)))
+    octaves = 1 + max(0, int(np.floor(np.log2(coarsest_m / finest))))
+    total: Field | None = None
+    for octave in range(octaves):
+        cell_m = coarsest_m / 2**octave
+        # Coarse octaves are added up in small images: the last one alone has all the pixels.
+        cell_px = cell_m * patch.px_per_m * min(1.0, stretch)
+        coarser = 1 if octave == octaves - 1 else max(1, int(cell_px / 4))
+        size = -(-patch.width_px // coarser), -(-patch.height_px // coarser)
+        noise = _lattice(patch, cell_m, cell_m * stretch, size)
+        if total is not None:
+            noise *= np.float32(gain**octave)
+            noise += cv2.resize(total, size, interpolation=cv2.INTER_LINEAR)
+        total = noise
+    assert total is not None
+    power = sum(gain ** (2 * octave) for octave in range(octaves))
+    return np.asarray(total / np.float32(np.sqrt(power)), dtype=np.float32)
+
+
+def _lattice(patch: Patch, cell_x_m: float, cell_y_m: float, size: tuple[int, int]) -> Field:
+    """Smooth noise of deviation about 1 with cells of a size, as an image (width, height)."""
+    columns = max(patch.width_m / cell_x_m, 0.5)
+    rows = max(patch.height_m / cell_y_m, 0.5)
+    # A border keeps the noise from ending flat at the edges.
+    cells = int(np.ceil(rows)) + 4, int(np.ceil(columns)) + 4
+    values = patch.rng.standard_normal(cells, dtype=np.float32)
+    start = patch.rng.uniform(1.0, 2.0, 2)
+    take = np.array([[columns / size[0], 0, start[0]], [0, rows / size[1], start[1]]])
+    smooth = cv2.warpAffine(
+        values,
+        take,
+        size,
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REFLECT_101,
+    )
+    return np.asarray(1.4 * smooth, dtype=np.float32)
 
 
 def grain(patch: Patch) -> Field:
@@ -112,14 +119,16 @@ def grain(patch: Patch) -> Field:
     return patch.rng.standard_normal(patch.shape, dtype=np.float32)
 
 
-def shade(image: Field, by: Field) -> None:
+def shade(image: Field, by: NDArray[np.floating]) -> None:
     """Multiply an image (H, W, 3) by 1 + a field (H, W)."""
-    image *= (1 + by)[..., None]
+    image *= (1 + np.asarray(by, dtype=np.float32))[..., None]
 
 
-def blend(image: Field, bgr: Colour, share: Field) -> None:
+def blend(image: Field, bgr: Colour, share: NDArray[np.floating]) -> None:
     """Mix a colour into an image (H, W, 3) by a share (H, W) of 0 to 1."""
-    image += (np.array(bgr, dtype=np.float32) - image) * np.clip(share, 0, 1)[..., None]
+    part = np.clip(share, 0, 1).astype(np.float32)[..., None]
+    image *= 1 - part
+    image += np.array(bgr, dtype=np.float32) * part
 
 
 def blotches(patch: Patch, size_m: float, cover: float, softness: float = 0.3) -> Field:

@@ -7,9 +7,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from covinz_agents.world import textures_houses, textures_plant, textures_street
+from covinz_agents.world import (
+    textures_hall,
+    textures_houses,
+    textures_machines,
+    textures_street,
+)
 from covinz_agents.world.geometry import Face, World
-from covinz_agents.world.noise import Field, Patch, blotches, finished, fractal, grain, shade
+from covinz_agents.world.noise import Field, Patch, finished
 
 # Widths and heights of textures, all divisible by 16 so that mip levels stay aligned. Few of
 # them, so that faces of a size can be drawn together.
@@ -20,7 +25,13 @@ _SMALL_PX_PER_M, _LARGE_PX_PER_M = 190.0, 110.0
 # Of that, outdoors, where everything is further away.
 _OUTDOORS_SHARE = 0.4
 
-Material = Callable[[Patch], Field]
+# Every material by its name.
+MATERIALS: Mapping[str, Callable[[Patch], Field]] = {
+    **textures_hall.MATERIALS,
+    **textures_machines.MATERIALS,
+    **textures_houses.MATERIALS,
+    **textures_street.MATERIALS,
+}
 
 
 def texture_size_px(face: Face, *, outdoors: bool = False) -> tuple[int, int]:
@@ -48,7 +59,7 @@ def painted_texture(world: World, number: int, variant: int = 0) -> NDArray[np.u
         ValueError: If the face's material is unknown.
     """
     face = world.faces[number]
-    if face.material not in _materials():
+    if face.material not in MATERIALS:
         raise ValueError(f"unknown material {face.material!r}")
     width, height = texture_size_px(face, outdoors=world.outdoors)
     patch = Patch(
@@ -58,21 +69,4 @@ def painted_texture(world: World, number: int, variant: int = 0) -> NDArray[np.u
         float(np.linalg.norm(face.u_m)),
         float(np.linalg.norm(face.v_m)),
     )
-    return finished(_materials()[face.material](patch))
-
-
-def _materials() -> Mapping[str, Material]:
-    # Later ones win where two have a name in common.
-    return {
-        **textures_plant.MATERIALS,
-        **textures_street.MATERIALS,
-        **textures_houses.MATERIALS,
-        "concrete": _concrete,
-    }
-
-
-def _concrete(patch: Patch) -> Field:
-    image = patch.flat((150, 152, 155))
-    shade(image, 0.12 * fractal(patch, 2.0, 0.02) - 0.25 * blotches(patch, 0.6, 0.15))
-    shade(image, 0.04 * grain(patch))
-    return image
+    return finished(MATERIALS[face.material](patch))
