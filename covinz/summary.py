@@ -41,6 +41,7 @@ def show(console: Console, made: Mapping[str, Any], folder: Path, files: Sequenc
     console.print()
     console.print(Text(_headline(made), style="bold"))
     console.print(_agents(made))
+    console.print()
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="cyan", no_wrap=True)
     facts.add_column(overflow="fold")
@@ -50,8 +51,10 @@ def show(console: Console, made: Mapping[str, Any], folder: Path, files: Sequenc
     console.print()
     console.print(_where_to_look(folder, files))
     ask = f"covinz why {next(iter(made['agents']), 'ROBOT')}/0 --run {_shown(folder)}"
-    console.print(Text(f"{ask}   what became of a keyframe", overflow="fold"))
-    console.print(Text("docs/architecture.md   how it works"))
+    console.print()
+    # A line that is wrapped could not be copied.
+    console.print(Text(f"{ask}   what became of a keyframe"), soft_wrap=True)
+    console.print(Text(f"{'docs/architecture.md':{len(ask)}}   how it works"), soft_wrap=True)
 
 
 def _headline(made: Mapping[str, Any]) -> str:

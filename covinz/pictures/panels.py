@@ -181,7 +181,7 @@ def _draw_loops(axis: Axes, found: MapSubject, ends: Array) -> None:
     for chosen, colour, width, alpha, z in (
         (~found.inter & ~wrong, style.INTRA, 0.7, opacity, 3.0),
         (found.inter & ~wrong, style.INTER, 0.7, opacity, 3.1),
-        (wrong, style.WRONG, 1.1, 0.9, 4.0),
+        (wrong, style.WRONG, 1.1, 1.0, 5.5),
     ):
         lines = LineCollection(list(ends[chosen]), colors=colour, linewidths=width, alpha=alpha)
         lines.set_zorder(z)

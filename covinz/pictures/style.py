@@ -5,7 +5,6 @@ Made for a README's width: 9 inches are shown on some 900 pixels, so 10 points a
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Stroke, withStroke
@@ -132,9 +132,8 @@ def halo(width: float = 3.0) -> list[Stroke]:
 
 def save(figure: Figure, file: Path) -> None:
     """Write a PNG with a palette of 256 colours; the same figure gives the same bytes."""
-    drawn = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(drawn, metadata={"Software": None})  # type: ignore[no-untyped-call]
-    pixels = np.asarray(Image.open(drawn).convert("RGB")).astype(np.uint32)
+    buffer, (width, height) = FigureCanvasAgg(figure).print_to_buffer()  # type: ignore[no-untyped-call]
+    pixels = np.frombuffer(buffer, np.uint8).reshape(height, width, 4).astype(np.uint32)
     packed = pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2]
     colours, inverse, counts = np.unique(packed, return_inverse=True, return_counts=True)
     palette, nearest = _palette(colours, counts)
@@ -148,12 +147,15 @@ def _palette(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """A palette (P, 3) for packed colours (U,), and the entry (U,) that is nearest to each.
 
-    The most frequent colours are kept as they are. The rest of the palette is spread over the other
-    colours, each counted once, so that a single wrong loop stays red.
+    The style's own colours are in it, pure and half faded, so that a single wrong loop stays red;
+    then the most frequent ones as they are; the remaining entries are spread over all others.
     """
     colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=1).astype(np.uint8)
     order = np.argsort(-counts, kind="stable")
-    palette, rest = colours[order[:_EXACT_COLOURS]], colours[order[_EXACT_COLOURS:]]
+    own = np.array([to_rgb(name) for name in (*AGENT_COLOURS, WRONG, INTER, INTRA)])
+    pure = np.concatenate([own, (own + 1) / 2]) * 255
+    palette = np.concatenate([np.round(pure).astype(np.uint8), colours[order[:_EXACT_COLOURS]]])
+    rest = colours[order[_EXACT_COLOURS:]]
     if len(rest):
         mixed = Image.fromarray(rest[None]).quantize(256 - len(palette), Image.Quantize.MEDIANCUT)
         spread = np.array(mixed.getpalette(), dtype=np.uint8).reshape(-1, 3)
