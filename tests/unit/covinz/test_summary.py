@@ -73,8 +73,8 @@ runs/hall/
   report.json   all figures
   map.g2o       the pose graph
 
-covinz why agent0/0 --run runs/hall   what became of a keyframe
-docs/architecture.md                  how it works"""
+why a loop, or none:  covinz why agent0/0 --run runs/hall
+how it works:         docs/architecture.md"""
     )
 
 
