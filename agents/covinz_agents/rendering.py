@@ -67,7 +67,7 @@ def render_ahead(
     try:
         done = 0
         on_progress(done, total)
-        while any(_employ(painter, todo) for painter in painters):
+        while _employ_all(painters, todo):
             ready = wait([painter.link for painter in painters if painter.batch], _TICK_S)
             if stop.is_set():
                 raise RenderingStopped(f"stopped after {done} of {total} images")
@@ -91,6 +91,12 @@ def _start(scenario: Scenario) -> _Painter:
     process.start()
     there.close()
     return _Painter(process, here)
+
+
+def _employ_all(painters: Sequence[_Painter], todo: dict[str, list[int]]) -> bool:
+    """Give every idle process work; False: none has any."""
+    busy = [_employ(painter, todo) for painter in painters]
+    return any(busy)
 
 
 def _employ(painter: _Painter, todo: dict[str, list[int]]) -> bool:
