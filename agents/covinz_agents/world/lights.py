@@ -120,7 +120,7 @@ def _indoors(
         _points(sources, rng),
         FarLights(np.empty((0, 3)), np.empty((0, 3))),
         emitted,
-        np.full(3, 0.25),
+        np.full(3, 0.15),
         sun,
     )
 

@@ -226,7 +226,7 @@ def _poster(patch: Patch) -> Field:
     wide, high = patch.width_m, patch.height_m
     rectangle(patch, image, (0, 0), (wide, 0.28 * high), band)
     text = _NOTICES[int(patch.rng.integers(len(_NOTICES)))]
-    capital = min(0.15 * high, 0.9 * wide / len(text))
+    capital = min(0.15 * high, 0.78 * wide / len(text))
     lettering(patch, image, text, (0.05 * wide, 0.21 * high), capital, (235, 235, 235))
     for row in np.linspace(0.38, 0.9, int(patch.rng.integers(4, 8))):
         length = float(patch.rng.uniform(0.2, 0.5)) * wide
@@ -288,8 +288,8 @@ def _hazard(patch: Patch) -> Field:
     image = patch.flat(YELLOW)
     x = np.arange(patch.width_px) / patch.x_px_per_m
     y = np.arange(patch.height_px) / patch.y_px_per_m
-    stripe = ((x[None] + y[:, None]) / 0.3) % 1 < 0.5
-    blend(image, (42, 44, 46), stripe.astype(np.float32))
+    inside_m = 0.075 - 0.3 * np.abs(((x[None] + y[:, None]) / 0.3) % 1 - 0.5)
+    blend(image, (42, 44, 46), np.clip(0.5 + inside_m * patch.px_per_m, 0, 1))
     blend(image, (140, 144, 146), 0.85 * blotches(patch, 0.3, 0.14, 0.2))
     shade(image, 0.10 * fractal(patch, 0.8, 0.02) + 0.03 * grain(patch))
     return image

@@ -217,7 +217,7 @@ def _carton(patch: Patch) -> Field:
         size = float(patch.rng.uniform(0.2, 0.45)) * patch.width_m, 0.28 * patch.height_m
         _plate(patch, image, _somewhere(patch, size), size)
     place = 0.08 * patch.width_m, 0.93 * patch.height_m
-    high = min(0.13 * patch.height_m, 0.1 * patch.width_m)
+    high = min(0.13 * patch.height_m, 0.095 * patch.width_m)
     lettering(patch, image, word(patch), place, high, (45, 55, 70))
     frame(patch, image, 0.008, (75, 100, 125))
     return image
