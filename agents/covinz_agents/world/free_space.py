@@ -29,6 +29,11 @@ class Bounds:
         for name in ("base_m", "size_m"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (3,)))
 
+    @property
+    def reach_m(self) -> float:
+        """From its middle to a corner, seen from above."""
+        return float(np.linalg.norm(self.size_m[:2])) / 2
+
     def distance_m(self, points_m: Array) -> float:
         """From the nearest of some points (N, 3); 0 when one is inside, inf without points."""
         low = self.base_m[2] - points_m[:, 2]
@@ -90,6 +95,16 @@ class FreeSpace:
         lowest_m = (self._paths[near, 2] - needed_m).min(initial=np.inf)
         return float(lowest_m - place.base_m[2])
 
+    def is_taken(self, place: Bounds, gap_m: float) -> bool:
+        """Whether something stands there already, or nearer than a gap."""
+        # Turned boxes may be called near while their circles are not: sqrt(2) covers that.
+        reach_m = place.reach_m + np.sqrt(2) * gap_m
+        return any(
+            np.hypot(*(place.base_m[:2] - other.base_m[:2])) < reach_m + other.reach_m
+            and place.overlaps(other, gap_m)
+            for other in self._taken
+        )
+
     def take(self, bounds: Bounds, gap_m: float = 0.3) -> bool:
         """Take a place if it is free; says whether it was.
 
@@ -104,9 +119,7 @@ class FreeSpace:
             return False
         if bounds.base_m[2] + bounds.size_m[2] > high[2]:
             return False
-        if bounds.distance_m(self._paths) < self._clearance_m:
-            return False
-        if any(bounds.overlaps(other, gap_m) for other in self._taken):
+        if self.is_taken(bounds, gap_m) or bounds.distance_m(self._paths) < self._clearance_m:
             return False
         self._taken.append(bounds)
         return True

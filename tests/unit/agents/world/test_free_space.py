@@ -55,8 +55,10 @@ def test_overlap_is_mutual_and_holds_where_corners_are_inside(
 ) -> None:
     one, other = bounds(0, 0, (2, 1, 1), yaw), bounds(x, y, (2, 1, 1), other_yaw)
     assert one.overlaps(other, 0.1) == other.overlaps(one, 0.1)
+    # Boxes that only touch do not overlap.
+    core = bounds(0, 0, (2 - 1e-6, 1 - 1e-6, 1), yaw)
     inside = [
-        one.distance_m(np.array([[*corner, 0.5]])) == 0 for corner in footprint(x, y, other_yaw)
+        core.distance_m(np.array([[*corner, 0.5]])) == 0 for corner in footprint(x, y, other_yaw)
     ]
     if any(inside):
         assert one.overlaps(other, 0.0)
