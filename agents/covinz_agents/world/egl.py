@@ -10,8 +10,8 @@ from covinz_agents.source import DatasetError
 
 _ADVICE = (
     "generated worlds are drawn with OpenGL through EGL; on Debian or Ubuntu: "
-    "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri (a graphics card that refuses may be "
-    "passed over with LIBGL_ALWAYS_SOFTWARE=1)"
+    "apt-get install libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri (a graphics card that refuses "
+    "may be passed over with LIBGL_ALWAYS_SOFTWARE=1)"
 )
 
 # moderngl passes these on; its stubs mistake the keywords for a mapping.
