@@ -23,22 +23,23 @@ from covinz_agents.world.geometry import Face, World
 _TILE_M = 4.0
 # Places on the floor are tried on a grid this wide. [m]
 _GRID_M = 0.9
-_Kind = tuple[machinery.Filling, tuple[float, float], tuple[float, float], float]
-# What stands on the floor: filling, smallest and largest length and width, greatest height [m].
+_Range = tuple[float, float]
+_Kind = tuple[machinery.Filling, _Range, _Range, _Range]
+# What stands on the floor: filling, smallest and largest length, width and height [m].
 # Large things are put first, small ones into the gaps.
 _LARGE: tuple[_Kind, ...] = (
-    (machinery.machine, (2.0, 3.6), (1.2, 2.0), 2.8),
-    (machinery.tank, (1.6, 2.8), (1.6, 2.8), 4.5),
-    (machinery.rack, (2.4, 4.0), (0.8, 1.1), 4.4),
+    (machinery.machine, (2.0, 3.6), (1.2, 2.0), (0.8, 2.8)),
+    (machinery.tank, (1.6, 2.8), (1.6, 2.8), (0.9, 4.5)),
+    (machinery.rack, (2.4, 4.0), (0.8, 1.1), (1.8, 4.4)),
 )
 _SMALL: tuple[_Kind, ...] = (
-    (machinery.machine, (1.4, 2.0), (0.8, 1.2), 1.8),
-    (machinery.crates, (0.8, 1.4), (0.8, 1.4), 2.4),
-    (machinery.cabinets, (1.2, 2.4), (0.6, 0.9), 2.3),
-    (machinery.workbench, (1.4, 2.4), (0.7, 1.0), 1.6),
+    (machinery.machine, (1.4, 2.0), (0.8, 1.2), (0.6, 1.8)),
+    (machinery.crates, (0.8, 1.4), (0.8, 1.4), (0.5, 2.4)),
+    (machinery.cabinets, (1.2, 2.4), (0.6, 0.9), (1.0, 2.3)),
+    (machinery.workbench, (1.4, 2.4), (0.7, 1.0), (0.9, 1.6)),
 )
-# Lower than this nothing is put, and nothing nearer to one another. [m]
-_LOWEST_M, _GAP_M = 0.5, 0.5
+# Between two things on the floor. [m]
+_GAP_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,15 +157,15 @@ def _on_floor(hall: _Hall) -> list[Face]:
 
 def _stand(hall: _Hall, kinds: Sequence[_Kind], base: Array) -> list[Face]:
     """Something at a spot, as high as it can be; nothing if there is no room."""
-    filling, length_m, width_m, highest_m = kinds[int(hall.rng.integers(len(kinds)))]
+    filling, length_m, width_m, height_m = kinds[int(hall.rng.integers(len(kinds)))]
     length, width = float(hall.rng.uniform(*length_m)), float(hall.rng.uniform(*width_m))
     yaw_rad = float(hall.rng.integers(4)) * np.pi / 2 + float(hall.rng.normal(0, 0.08))
-    height = highest_m * float(hall.rng.uniform(0.75, 1.0))
-    if hall.free.is_taken(Bounds(base, np.array([length, width, _LOWEST_M]), yaw_rad), _GAP_M):
+    height = height_m[1] * float(hall.rng.uniform(0.75, 1.0))
+    if hall.free.is_taken(Bounds(base, np.array([length, width, height_m[0]]), yaw_rad), _GAP_M):
         return []
     # A thousandth of slack against rounding.
     free_m = hall.free.height_m(Bounds(base, np.array([length, width, height]), yaw_rad)) - 1e-3
-    if free_m < _LOWEST_M:
+    if free_m < height_m[0]:
         return []
     size = np.array([length, width, min(height, free_m)])
     return _put(hall, filling, Bounds(base, size, yaw_rad), _GAP_M)
