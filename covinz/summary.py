@@ -53,8 +53,8 @@ def show(console: Console, made: Mapping[str, Any], folder: Path, files: Sequenc
     ask = f"covinz why {next(iter(made['agents']), 'ROBOT')}/0 --run {_shown(folder)}"
     console.print()
     # A line that is wrapped could not be copied.
-    console.print(Text(f"why a loop, or none:  {ask}"), soft_wrap=True)
-    console.print(Text("how it works:         docs/architecture.md"), soft_wrap=True)
+    console.print(Text(f"ask why:  {ask}"), soft_wrap=True)
+    console.print(Text("read on:  docs/architecture.md"), soft_wrap=True)
 
 
 def _headline(made: Mapping[str, Any]) -> str:

@@ -86,19 +86,23 @@ def draw_map_3d(file: Path, subject: Subject, made: Mapping[str, Any]) -> None:
         made: Its report.
     """
     shown = panels.panels_of(subject, view.from_the_side)
+    in_world = [panel for panel in shown if panel.in_world]
     floors = {
-        id(panel): floor_of(shown if subject.aligned else [panel], subject.plan) for panel in shown
+        id(panel): floor_of(
+            in_world if panel.in_world else [panel], subject.plan if panel.in_world else ()
+        )
+        for panel in shown
     }
 
     def ground(axis: Axes, panel: panels.Panel) -> None:
-        _draw_floor(axis, panel, floors[id(panel)], subject.plan)
+        _draw_floor(axis, panel, floors[id(panel)], subject.plan if panel.in_world else ())
 
     def squares(axis: Axes, panel: panels.Panel, box: view.Box, drawn: Array) -> None:
         step = view.metres(floors[id(panel)].step)
         view.corner_note(axis, box, drawn, f"squares of {step}")
 
-    corners = [floors[id(panel)].corners() @ panel.R @ panel.P for panel in shown]
-    figure = panels.draw(subject, shown, panels.boxes(subject, shown, corners), ground, squares)
+    corners = [[floors[id(panel)].corners() @ panel.R @ panel.P] for panel in shown]
+    figure = panels.draw(subject, shown, panels.boxes(shown, corners), ground, squares)
     style.headline(figure, captions.title(made), captions.figures(made))
     style.save(figure, file)
 

@@ -82,10 +82,11 @@ def box_of(points: Sequence[Array], margin: float = 0.05) -> Box:
     return Box(x - width / 2, y - height / 2, x + width / 2, y + height / 2)
 
 
-def taller(box: Box, aspect: float) -> Box:
-    """The box with more room above and below, so that it has this height by width."""
-    more = ((box.right - box.left) * aspect - (box.top - box.bottom)) / 2
-    return Box(box.left, box.bottom - more, box.right, box.top + more)
+def shaped(box: Box, aspect: float) -> Box:
+    """The smallest box around this one with the same centre and this height by width."""
+    width = max(box.right - box.left, (box.top - box.bottom) / aspect)
+    x, y = (box.left + box.right) / 2, (box.bottom + box.top) / 2
+    return Box(x - width / 2, y - width * aspect / 2, x + width / 2, y + width * aspect / 2)
 
 
 def show(axis: Axes, box: Box) -> None:

@@ -73,8 +73,8 @@ runs/hall/
   report.json   all figures
   map.g2o       the pose graph
 
-why a loop, or none:  covinz why agent0/0 --run runs/hall
-how it works:         docs/architecture.md"""
+ask why:  covinz why agent0/0 --run runs/hall
+read on:  docs/architecture.md"""
     )
 
 

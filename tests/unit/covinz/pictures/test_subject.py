@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from covinz.pictures import view
+from covinz.pictures import panels, view
 from covinz.pictures.joining import joinings
+from covinz.pictures.map_3d import floor_of
 from covinz.pictures.subject import subject_of
 from tests.runs import Walks, made_up_run
 
@@ -102,3 +103,53 @@ def test_scale_bars_have_round_lengths(limit_m: float, length_m: float, words: s
 def test_points_that_coincide_still_have_a_box() -> None:
     box = view.box_of([np.zeros((3, 2))])
     assert box.right > box.left and box.top > box.bottom
+
+
+def test_what_shows_the_world_shows_the_same_of_it() -> None:
+    subject = subject_of(made_up_run(Walks(agents=4, maps=2, drift=0.1)))
+    shown = panels.panels_of(subject, view.from_above)
+    assert [panel.in_world for panel in shown] == [True, True, True]
+    boxes = panels.boxes(shown, [[]] * 3)
+    assert boxes[0] == boxes[1] == boxes[2]
+    for panel, box in zip(shown, boxes, strict=True):
+        points = np.concatenate(panel.drawn)
+        assert (points > [box.left, box.bottom]).all()
+        assert (points < [box.right, box.top]).all()
+
+
+def test_robots_that_know_nothing_of_each_other_start_at_one_point_to_the_right() -> None:
+    subject = subject_of(made_up_run(Walks(agents=3, drift=0.0)))
+    before = panels.panels_of(subject, view.from_above, show_drift=False)[0]
+    assert not before.in_world
+    for path_m in before.paths_m:
+        assert path_m[0] == pytest.approx(np.zeros(3), abs=1e-12)
+    for path in before.drawn:
+        away_m = np.linalg.norm(path, axis=1)
+        first = path[int(np.argmax(away_m > 0.05 * away_m.max()))]
+        assert first[0] > 0
+        assert first[1] == pytest.approx(0.0, abs=1e-9)
+    # Nobody's path changes its shape.
+    for path_m, track in zip(before.paths_m, subject.tracks, strict=True):
+        steps, own = (np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (path_m, track.before_m))
+        assert np.allclose(steps, own)
+
+
+def test_a_plan_is_seen_whole_unless_it_is_much_larger_than_the_paths() -> None:
+    subject = subject_of(made_up_run(Walks(agents=2, drift=0.0)))
+    shown = panels.panels_of(subject, view.from_above)
+    near, far = (np.array([[-s, -s], [s, s]]) for s in (9.0, 900.0))
+    assert panels.boxes(shown, [[near]] * 2)[0].left < -9.0
+    assert panels.boxes(shown, [[far]] * 2) == panels.boxes(shown, [[]] * 2)
+
+
+def test_the_floor_lies_at_zero_of_a_plan_and_else_below_the_map() -> None:
+    for plan, drift in ((True, 0.0), (False, 0.2)):
+        subject = subject_of(made_up_run(Walks(agents=2, drift=drift, plan=plan)))
+        shown = panels.panels_of(subject, view.from_the_side)
+        floor = floor_of(shown, subject.plan)
+        lowest = min(float(track.after_m[:, 2].min()) for track in subject.tracks)
+        assert floor.up == 0.0 if plan else lowest - 2.0 < floor.up < lowest
+        grid = floor.grid()
+        assert len(grid) >= 10
+        assert (grid[..., :2] >= floor.low).all() and (grid[..., :2] <= floor.high).all()
+        assert (grid[..., 2] == floor.up).all()
