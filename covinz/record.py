@@ -84,9 +84,13 @@ def collect(
 
 
 def read_plan(folder: Path) -> tuple[Array, ...]:
-    """The plan that the player left in a run's folder; empty if it left none."""
+    """The plan that the player left in a run's folder; empty if it left none.
+
+    Raises:
+        ValueError, KeyError: If the file is not what a player writes.
+    """
     file = folder / PLAN_FILE
     if not file.is_file():
         return ()
     polygons = json.loads(file.read_text())["polygons_m"]
-    return tuple(np.asarray(polygon, dtype=float).reshape(-1, 2) for polygon in polygons)
+    return tuple(np.asarray(polygon, dtype=float).reshape(-1, 2) for polygon in polygons if polygon)

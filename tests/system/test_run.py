@@ -127,7 +127,16 @@ def test_a_run_leaves_what_it_promises(reference: Run) -> None:
     for agent in ("agent0", "agent1"):
         assert report["agents"][agent]["keyframes"] > 5
         assert report["agents"][agent]["bytes"] > 10_000
-    assert (reference.folder / "top_view.png").read_bytes().startswith(b"\x89PNG")
+    for picture in ("top_view", "map_3d", "error_over_time", "loops"):
+        file = reference.folder / f"{picture}.png"
+        assert file.read_bytes().startswith(b"\x89PNG")
+        assert file.name in reference.output
+    assert report["agents"]["agent0"]["path_m"] > 1.0
+    assert sum(report["phases_s"].values()) == pytest.approx(report["wall_s"], abs=0.01)
+    assert report["made_with"]["cpus"] >= 1
+    assert "one map of 2 robots" in reference.output
+    # Nobody sees bars in a log.
+    assert "acked" not in reference.output and "\x1b" not in reference.output
     assert "VERTEX_SE3:QUAT" in (reference.folder / "map.g2o").read_text()
 
 
@@ -142,6 +151,15 @@ def test_the_files_of_a_run_agree_with_its_report(reference: Run) -> None:
     assert joint_m == pytest.approx(reference.report["joint_ate_after_m"], abs=1e-3)
     # Two robots that knew nothing of each other are now in one map, decimetres apart at most.
     assert joint_m < 0.5
+
+
+def test_a_finished_run_says_why_there_is_a_loop(reference: Run) -> None:
+    folder = str(reference.folder)
+    why = finished(covinz("why", "agent1", "--run", folder), reference.folder)
+    assert "loop closure" in why.output
+    assert "agent0/" in why.output
+    none = finished(covinz("why", "agent7/3", "--run", folder), reference.folder)
+    assert "no candidate was ever found for agent7/3" in none.output
 
 
 def test_the_map_is_the_same_after_place_recognition_and_optimizer_lost_everything(
@@ -248,6 +266,7 @@ def test_a_user_can_ask_a_live_server(live_server: str, tmp_path: Path) -> None:
         (("status", "--endpoint", "tcp/127.0.0.1:9"), "nobody listens at tcp/127.0.0.1:9"),
         (("status", "--endpoint", "nonsense"), "not an endpoint: 'nonsense'"),
         (("eval", "-g", "README.md", "README.md"), "README.md:"),
+        (("why", "agent0", "--run", "docs"), "cannot read docs/candidates.csv"),
         (("up", "--data", "README.md/data"), "README.md/data/server"),
     ],
 )

@@ -127,3 +127,37 @@ def test_without_groundtruth_the_errors_are_absent_and_the_rest_is_there() -> No
     assert made["joint_ate_after_m"] is None
     assert made["loops"]["accepted"] == 1
     assert made["loops"]["wrong"] is None
+
+
+def test_paths_are_as_long_as_the_odometry_between_keyframes() -> None:
+    made = report.build(record([]))
+    assert {name: agent["path_m"] for name, agent in made["agents"].items()} == {"a": 2.0, "b": 2.0}
+    assert made["scenario"] == "run"
+
+
+def test_the_worst_loop_is_named_and_a_followed_one_bends_the_map() -> None:
+    """The snapshot's one loop edge says 1 m from (a, 0) to (a, 1), which the map believes."""
+    poses = {"a": [pose(0.0), pose(1.0), pose(2.0)], "b": [pose(0.0), pose(1.0), pose(2.0)]}
+    # Truth: a's first keyframe is another 0.5 m back.
+    truth = {
+        "a": Trajectory(np.arange(3) * SECOND, np.stack([pose(-0.5), pose(1.0), pose(2.0)])),
+        "b": TRUTH,
+    }
+    jobs = [loop(kf("a", 1), kf("a", 0), pose(1.0)), loop(kf("b", 2), kf("a", 2), pose(0.0))]
+    made = report.build(RunRecord([snapshot("ab", poses)], jobs, PLAYED, truth, 7.0))
+    loops = made["loops"]
+    assert (loops["wrong"], loops["wrong_effective"], loops["wrong_bending"]) == (1, 1, 1)
+    assert loops["t_err_max_m"] == pytest.approx(0.5)
+    assert loops["r_err_max_deg"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_wrong_loop_that_the_map_does_not_follow_is_silenced() -> None:
+    # The edge's information is the identity: 1 m off is one sigma, 10 m are ten.
+    poses = {"a": [pose(0.0), pose(11.0), pose(12.0)], "b": [pose(0.0), pose(1.0), pose(2.0)]}
+    truth = {
+        "a": Trajectory(np.arange(3) * SECOND, np.stack([pose(0.0), pose(11.0), pose(12.0)])),
+        "b": TRUTH,
+    }
+    jobs = [loop(kf("a", 1), kf("a", 0), pose(1.0))]
+    loops = report.build(RunRecord([snapshot("ab", poses)], jobs, PLAYED, truth, 7.0))["loops"]
+    assert (loops["wrong"], loops["wrong_effective"], loops["wrong_bending"]) == (1, 0, 0)
