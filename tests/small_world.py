@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-SCENE: dict[str, Any] = {"kind": "hall", "seed": 3, "size_m": [12.0, 9.0, 4.0]}
+SCENE: dict[str, Any] = {"kind": "hall", "seed": 3, "size_m": [12.0, 9.0, 5.0]}
 CAMERA: dict[str, Any] = {
     "model": "OPENCV",
     "width": 320,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from covinz import frames
 from covinz.calibration import camera_of
+from covinz.config import ConfigError
 from covinz.scenario import FileOdometry, RenderedAgent, RenderedPath, Scenario, Scene
 from covinz.trajectory import Trajectory, read_tum
 from covinz.types import Array, Camera, Features
@@ -156,4 +157,8 @@ def world_of(scenario: Scenario) -> World:
 
 @functools.lru_cache(maxsize=2)
 def _world(scene: Scene, paths: tuple[RenderedPath, ...]) -> World:
-    return build_world(scene, np.concatenate([given_positions_m(path) for path in paths]))
+    keep_clear_m = np.concatenate([given_positions_m(path) for path in paths])
+    try:
+        return build_world(scene, keep_clear_m)
+    except ValueError as error:
+        raise ConfigError(f"scene: {error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
@@ -14,15 +15,15 @@ from numpy.typing import NDArray
 from covinz.scenario import Look, Sensor
 from covinz.types import Array, Camera
 from covinz_agents import image_cache
-from covinz_agents import world as world_package
 from covinz_agents.cache_folder import cache_folder
 from covinz_agents.image_cache import ImageCache
 from covinz_agents.source import DatasetError
+from covinz_agents.world import renderer
 from covinz_agents.world.geometry import World
 from covinz_agents.world.renderer import Renderer
 from covinz_agents.world.sensor import expose
 
-# Raise it when images change although no file of the package `world` does.
+# Raise it when images change for another reason than what is digested, e.g. in this module.
 _VERSION = 1
 
 
@@ -73,12 +74,32 @@ def visit(world: World, look: Look, camera: Camera, sensor: Sensor) -> Visit:
 @functools.cache
 def renderer_digest() -> str:
     """Digest of the code that images depend on: a change of it makes new ones."""
-    digest = hashlib.blake2b(digest_size=8)
-    folders = [Path(path) for path in world_package.__path__]
-    for path in sorted(file for folder in folders for file in folder.rglob("*.py")):
+    digest = hashlib.blake2b(Path(image_cache.__file__).read_bytes(), digest_size=8)
+    for path in renderer_sources():
         digest.update(path.read_bytes())
-    digest.update(Path(image_cache.__file__).read_bytes())
     return digest.hexdigest()
+
+
+def renderer_sources() -> tuple[Path, ...]:
+    """Files of the package `world` that make images: renderer, sensor and what they import of it.
+
+    What they draw, whoever built it, is part of an image's name by itself.
+    """
+    files = {path.stem: path for path in Path(renderer.__file__).parent.glob("*.py")}
+    found: set[str] = set()
+    waiting = ["renderer", "sensor"]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found.add(name)
+        for node in ast.walk(ast.parse(files[name].read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module is not None:
+                package, _, module = node.module.rpartition(".")
+                below = [alias.name for alias in node.names] if module == "world" else []
+                named = [module, *below] if package.startswith("covinz_agents") else below
+                waiting += [n for n in named if n in files]
+    return tuple(sorted(files[name] for name in found))
 
 
 class Studio:
