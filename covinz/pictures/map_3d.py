@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Polygon
 
 from covinz.pictures import captions, panels, style, view
 from covinz.pictures.subject import Subject
@@ -109,10 +110,11 @@ def draw_map_3d(file: Path, subject: Subject, made: Mapping[str, Any]) -> None:
 
 def _draw_floor(axis: Axes, panel: panels.Panel, floor: Floor, plan: Sequence[Array]) -> None:
     onto_plane = panel.R @ panel.P
-    _fill(axis, [floor.corners() @ onto_plane], _FLOOR, _GRID, 0.5)
+    rectangle = Polygon(floor.corners() @ onto_plane, facecolor=_FLOOR, edgecolor=_GRID)
+    rectangle.set_zorder(0.5)
+    axis.add_patch(rectangle)
     _lines(axis, floor.grid() @ onto_plane, _GRID, 0.6, 0.6)
-    outlines = [on_floor(outline) @ panel.P for outline in plan]
-    _fill(axis, outlines, style.PLAN_FACE, style.PLAN_EDGE, 1.0)
+    panels.draw_plan(axis, [on_floor(outline) @ panel.P for outline in plan])
     feet = []
     every = max(1, sum(map(len, panel.paths_m)) // _STEMS)
     for path_m in panel.paths_m:
@@ -121,12 +123,6 @@ def _draw_floor(axis: Axes, panel: panels.Panel, floor: Floor, plan: Sequence[Ar
         axis.plot(*(foot @ onto_plane).T, color=_SHADOW, linewidth=1.4, zorder=1.2)
         feet += list(np.stack([foot @ onto_plane, path_m @ panel.P], axis=1)[::every])
     _lines(axis, np.array(feet), _STEM, 0.5, 1.4)
-
-
-def _fill(axis: Axes, outlines: Sequence[Array], face: str, edge: str, zorder: float) -> None:
-    filled = PolyCollection(list(outlines), facecolors=face, edgecolors=edge, linewidths=0.6)
-    filled.set_zorder(zorder)
-    axis.add_collection(filled, autolim=False)
 
 
 def _lines(axis: Axes, ends: Array, colour: str, width: float, zorder: float) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -197,6 +197,19 @@ def draw(
         scale(axis, panel, seen, np.concatenate([p for other in beside for p in other.drawn]))
     style.legend(figure, entries)
     return figure
+
+
+def draw_plan(axis: Axes, outlines: Sequence[Array]) -> None:
+    """Outlines (K, 2) on the drawn plane; two points are a wall, drawn as a line."""
+    wall = np.array([len(outline) == 2 for outline in outlines], dtype=bool)
+    drawn = PolyCollection(
+        list(outlines),
+        facecolors=style.PLAN_FACE,
+        edgecolors=np.where(wall, style.PLAN_WALL, style.PLAN_EDGE).tolist(),
+        linewidths=0.7,
+    )
+    drawn.set_zorder(1)
+    axis.add_collection(drawn, autolim=False)
 
 
 def _aspect(panels: Sequence[Panel], shown: Sequence[view.Box]) -> float:

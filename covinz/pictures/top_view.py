@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 
 from covinz.pictures import captions, panels, style, view
 from covinz.pictures.subject import Subject
@@ -28,16 +27,8 @@ def draw_top_view(file: Path, subject: Subject, made: Mapping[str, Any]) -> None
     """
 
     def plan(axis: Axes, panel: panels.Panel) -> None:
-        if not panel.in_world:
-            return
-        outlines = PolyCollection(
-            [outline @ panel.P[:2] for outline in subject.plan],
-            facecolors=style.PLAN_FACE,
-            edgecolors=style.PLAN_EDGE,
-            linewidths=0.6,
-        )
-        outlines.set_zorder(1)
-        axis.add_collection(outlines, autolim=False)
+        if panel.in_world:
+            panels.draw_plan(axis, [outline @ panel.P[:2] for outline in subject.plan])
 
     def bar(axis: Axes, _: panels.Panel, box: view.Box, drawn: Array) -> None:
         view.scale_bar(axis, box, drawn)
