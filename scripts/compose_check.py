@@ -46,13 +46,12 @@ def main() -> int:
     compose = os.environ.get("COMPOSE", "docker compose").split()
     with tempfile.TemporaryDirectory(prefix="covinz-compose-check-") as temporary:
         folder = arguments.keep or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
         name, port = f"covinz-check-{os.getpid()}", free_port()
         project = ComposeProject(compose, name, port, folder, environment(scenario.config))
         robots = sorted(agent.id for agent in scenario.agents)
         try:
             check(project, f"tcp/127.0.0.1:{port}", arguments, robots, folder)
-        except CheckFailed as error:
+        except (CheckFailed, client.ServerUnavailable, TimeoutError) as error:
             sys.stderr.write(project.logs())
             say(f"FAILED: {error}")
             return 1
@@ -177,8 +176,9 @@ def report(scenario: Path, endpoint: str, folder: Path) -> dict[str, Any]:
 def look_at(made: Mapping[str, Any], robots: list[str]) -> None:
     """Raise CheckFailed for a report that does not keep the promises."""
     loops = made["loops"]
-    say(f"report: maps {made['maps']}, keyframes lost {made['keyframes_lost']}, loops {loops}")
-    say(f"joint ATE {made['joint_ate_before_m']} m -> {made['joint_ate_after_m']} m")
+    found = f"{loops['accepted']} loops of {loops['candidates']} candidates, {loops['wrong']} wrong"
+    say(f"report: maps {made['maps']}, {found}, {made['keyframes_lost']} keyframes lost")
+    say(f"report: joint ATE {made['joint_ate_before_m']} m -> {made['joint_ate_after_m']} m")
     if made["maps"] != [robots]:
         raise CheckFailed(f"expected one map of {robots}")
     if made["keyframes_lost"] != 0:
@@ -221,11 +221,21 @@ def say(text: str) -> None:
     print(f"[{time.monotonic() - BEGAN_S:6.1f} s] {text}", flush=True)
 
 
+def _new_folder(text: str) -> Path:
+    folder = Path(text)
+    if folder.exists():
+        raise argparse.ArgumentTypeError(f"{folder} is there already")
+    folder.mkdir(parents=True)
+    return folder
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="scripts/compose_check.sh", description=__doc__)
     parser.add_argument("scenario", type=Path, nargs="?", default=DEFAULT_SCENARIO)
     parser.add_argument("--rate", type=float, default=1.0, help="multiple of real time [1]")
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep report and maps there")
+    parser.add_argument(
+        "--keep", type=_new_folder, metavar="FOLDER", help="keep report and maps in a new folder"
+    )
     return parser
 
 

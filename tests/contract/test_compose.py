@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from covinz import config, service, supervisor
+from scripts.compose_check import environment
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
@@ -164,3 +165,12 @@ def test_the_builder_is_sent_exactly_what_is_copied() -> None:
 def test_libraries_use_one_thread_in_the_image() -> None:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         assert re.search(rf"\b{name}=1\b", DOCKERFILE)
+
+
+def test_the_check_hands_a_scenarios_settings_to_the_containers() -> None:
+    settings = {
+        "place_recognition": {"num_candidates": 2, "score": "tf_idf"},
+        "loop_solver": {"matching": {"mutual": False}, "max_translation_m": None},
+        "optimizer": {"odometry_of": {"a0": {"min_rotation": 0.1}}},
+    }
+    assert config.with_environment({}, environment(settings)) == settings
