@@ -29,18 +29,20 @@ def cached_array(
         key: Name of the file: a digest of everything that the array depends on.
         make: Makes it; called if it is not there or damaged.
     """
-    try:
-        path = cache_folder(kind) / f"{key}.npy"
-        array: NDArray[np.generic] = np.load(path, allow_pickle=False)
-        os.utime(path)
-        return array
-    except (OSError, ValueError, EOFError):
-        pass
+    with contextlib.suppress(OSError, ValueError, EOFError):
+        return _read(cache_folder(kind) / f"{key}.npy")
     made = make()
     with contextlib.suppress(OSError):
-        _write(path, made)
-        _prune(path.parent)
+        _write(cache_folder(kind) / f"{key}.npy", made)
+        _prune(cache_folder(kind))
     return made
+
+
+def _read(path: Path) -> NDArray[np.generic]:
+    array: NDArray[np.generic] = np.load(path, allow_pickle=False)
+    # The time of its last use, by which `_prune` goes.
+    os.utime(path)
+    return array
 
 
 def _write(path: Path, array: NDArray[np.generic]) -> None:

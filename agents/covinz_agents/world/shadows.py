@@ -12,7 +12,10 @@ from covinz.types import Array
 from covinz_agents.world.egl import open_context
 from covinz_agents.world.geometry import World
 
-_CUBE_PX, _FAR_PX = 256, 2048
+# Of the light's view: pixels along a side of the cube around a point; from afar, pixels of this
+# size, up to a number. [m]
+_CUBE_PX = 256
+_FAR_M, _MOST_FAR_PX = 0.06, 2048
 _NEAR_M, _MAX_M = 0.02, 500.0
 # A surface nearer to the light by less than this does not shade. [m, share of the distance]
 _SLACK_M, _SLACK = 0.04, 0.01
@@ -53,6 +56,7 @@ class ShadowMaps:
         flat = corners.reshape(-1, 3)
         self._middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
         self._radius = float(np.linalg.norm(flat - self._middle, axis=1).max())
+        self._far_px = int(np.clip(2 * self._radius / _FAR_M, 64, _MOST_FAR_PX))
         index = 4 * np.arange(len(corners))[:, None] + np.array([0, 1, 2, 2, 1, 3])
         self._gl = open_context()
         with self._gl:
@@ -62,7 +66,7 @@ class ShadowMaps:
                 [(self._gl.buffer(flat.astype("f4").tobytes()), "3f", "position")],
                 index_buffer=self._gl.buffer(index.astype("i4").tobytes()),
             )
-            self._targets = {px: self._target(px) for px in (_CUBE_PX, _FAR_PX)}
+            self._targets = {px: self._target(px) for px in (_CUBE_PX, self._far_px)}
 
     def __enter__(self) -> ShadowMaps:
         return self
@@ -97,7 +101,7 @@ class ShadowMaps:
         axes = _axes(-towards)
         depth = self._orthographic(axes)
         local = (at_m - self._middle) @ axes.T
-        pixel = (0.5 + 0.5 * local[:, :2] / self._radius) * _FAR_PX
+        pixel = (0.5 + 0.5 * local[:, :2] / self._radius) * self._far_px
         # The plane of the map lies a radius before the middle.
         return _reached(depth, pixel, local[:, 2] + self._radius)
 
@@ -113,7 +117,7 @@ class ShadowMaps:
         world = np.column_stack([axes, -axes @ self._middle])
         clip = np.vstack([world / self._radius, [0, 0, 0, 1]])
         depth = world[2] + [0, 0, 0, self._radius]
-        return self._draw(clip, depth, _FAR_PX)
+        return self._draw(clip, depth, self._far_px)
 
     def _draw(self, clip: Array, depth: Array, size_px: int) -> NDArray[np.float32]:
         with self._gl:
