@@ -14,6 +14,7 @@ skip() {
 
 command -v docker >/dev/null || skip "there is no docker command"
 reason=$(docker info --format '{{.ServerVersion}}' 2>&1) || skip "no engine answers: ${reason##*$'\n'}"
+echo "engine $reason; make setup, which is silent, takes minutes in a fresh clone"
 make --silent setup
 
 # Compose as the user has it, or the one that `make setup` installs.
