@@ -80,10 +80,9 @@ def test_surfaces_out_of_sight_of_all_lamps_are_lit_by_the_others() -> None:
 @pytest.mark.parametrize("outdoors", [False, True])
 def test_each_number_is_another_light_and_the_same_again(outdoors: bool) -> None:
     given = room(outdoors=outdoors)
-    baked = [bake(given, lighting(given, light)) for light in (0, 1, 2, 1)]
-    assert np.array_equal(baked[1], baked[3])
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        assert np.mean(np.abs(baked[i] - baked[j])) > 0.01
+    first, other, again = (bake(given, lighting(given, light)) for light in (0, 1, 0))
+    assert np.array_equal(first, again)
+    assert np.mean(np.abs(first - other)) > 0.01
 
 
 def _middles(face: Face, light: Array) -> tuple[Array, Array]:
