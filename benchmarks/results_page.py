@@ -39,23 +39,46 @@ _SUMMARY = (
 _AGENT = ("robot", "keyframes", "path", "ATE before → after", "kB/s")
 
 
-def page(reports: Mapping[str, Mapping[str, Any]], machine: str) -> str:
+def page(
+    reports: Mapping[str, Mapping[str, Any]], machine: str, demo: Mapping[str, Any] | None = None
+) -> str:
     """The text of docs/results.md.
 
     Args:
         reports: `report.json` of every scenario by its name.
         machine: Architecture they ran on.
+        demo: What `benchmarks/demo.py` measured, if it was.
     """
     text = _HEAD.format(machine=machine)
-    text += table(_SUMMARY, [summary(name, report) for name, report in reports.items()])
+    text += table(_SUMMARY, [summary(linked(name), report) for name, report in reports.items()])
+    if demo is not None:
+        text += demo_section(demo)
     return text + "".join(section(name, report) for name, report in reports.items())
 
 
-def summary(name: str, report: Mapping[str, Any]) -> list[str]:
-    """A scenario's line of the first table."""
+def demo_section(demo: Mapping[str, Any]) -> str:
+    """The demo with every seed, and the worst of them."""
+    worst = demo["worst"]
+    text = "\n## The demo, with three seeds\n\n`scenarios/hall.yaml`, by `benchmarks/demo.py`.\n\n"
+    reports = demo["reports"].items()
+    text += table(_SUMMARY, [summary(f"seed {seed}", report) for seed, report in reports])
+    share = 100 * worst["wrong_share"]
+    return text + (
+        f"\nThe worst of them: {share:.1f} % wrong loops, {worst['wrong_bending']} of which bend the"
+        f" map; joint ATE after {worst['ate_ratio']:.2f} of that before.\n"
+    )
+
+
+def linked(name: str) -> str:
+    """A scenario's name as a link to its section."""
+    return f"[{name}](#{anchor(name)})"
+
+
+def summary(first: str, report: Mapping[str, Any]) -> list[str]:
+    """A run's line of a table of summaries; `first` names it."""
     loops, ms, agents = report["loops"], report["solver_ms"], report["agents"].values()
     return [
-        f"[{name}](#{anchor(name)})",
+        first,
         str(len(agents)),
         str(sum(agent["keyframes"] for agent in agents)),
         f"{sum(agent['path_m'] for agent in agents):.0f} m",
@@ -142,7 +165,9 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def read() -> str:
     """The page that the results in the repository give."""
     made = json.loads((_RESULTS / "large_scenarios.json").read_text())
-    return page(made["reports"], made["machine"])
+    demo = _RESULTS / "demo.json"
+    measured = json.loads(demo.read_text()) if demo.exists() else None
+    return page(made["reports"], made["machine"], measured)
 
 
 def main() -> None:
