@@ -64,8 +64,8 @@ def demo_section(demo: Mapping[str, Any]) -> str:
     text += table(_SUMMARY, [summary(f"seed {seed}", report) for seed, report in reports])
     share = 100 * worst["wrong_share"]
     return text + (
-        f"\nThe worst of them: {share:.1f} % wrong loops, {worst['wrong_bending']} of which bend the"
-        f" map; joint ATE after {worst['ate_ratio']:.2f} of that before.\n"
+        f"\nThe worst of them: {share:.1f} % wrong loops, {worst['wrong_bending']} of which bend"
+        f" the map; joint ATE after {worst['ate_ratio']:.2f} of that before.\n"
     )
 
 
