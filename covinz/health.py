@@ -23,6 +23,9 @@ from covinz.types import Status
 
 logger = logging.getLogger(__name__)
 
+# A machine that is busy is not a process that is stuck: with ten programs for each core an answer
+# took more than 5 s. [s]
+TIMEOUT_S = 20.0
 # It is asked for at least so long, also when it appeared just in time. [s]
 MIN_ASK_S = 0.1
 
@@ -96,7 +99,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("service", help="kind of process, e.g. ingest")
     parser.add_argument("--id", metavar="NAME", help="which one of several [the service's name]")
     parser.add_argument("--config", type=Path, metavar="FILE", help="as the process was given")
-    parser.add_argument("--timeout", type=float, default=5.0, metavar="S", help="[5]")
+    parser.add_argument(
+        "--timeout", type=float, default=TIMEOUT_S, metavar="S", help=f"[{TIMEOUT_S:g}]"
+    )
     return parser
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from covinz import config, service, supervisor
+from covinz import config, health, service, supervisor
 from scripts.compose_check import environment
 
 ROOT = Path(__file__).parents[2]
@@ -72,6 +72,8 @@ def test_a_service_runs_its_process_and_is_asked_for_its_own_health(
     data, instance = options[options.index("--data") + 1], options[options.index("--id") + 1]
     probe = ["CMD", "python", "-m", "covinz.health", name, "--id", instance]
     assert services[name]["healthcheck"]["test"] == probe
+    # The probe gives its own answer before the engine gives up on it.
+    assert float(services[name]["healthcheck"]["timeout"].removesuffix("s")) > health.TIMEOUT_S
     assert f"install -d -o covinz -g covinz {data}\n" in DOCKERFILE
     # Only what there are several of needs names that differ.
     assert ("{host}" in instance) == ("replicas" in services[name].get("deploy", {}))
