@@ -7,7 +7,8 @@ import numpy as np
 from covinz.types import Array
 from covinz_agents.world.geometry import Face, World
 
-# Faces lower or higher than this are floor, marks on it, roofs and what hangs from them. [m]
+# Faces lower or higher above the world's lowest point than this are floor, marks on it, roofs and
+# what hangs from them. [m]
 _LOWEST_M, _HIGHEST_M = 0.3, 4.0
 _FLAT = 0.2
 
@@ -18,10 +19,11 @@ def plan(world: World) -> list[Array]:
     A horizontal face gives its outline; an upright one the line of its foot, as a polygon of
     two points.
     """
+    outlines = [_corners(face) for face in world.faces]
+    floor_m = min((corners[:, 2].min() for corners in outlines), default=0.0)
     polygons: list[Array] = []
-    for face in world.faces:
-        corners = _corners(face)
-        if not _stands(corners[:, 2]):
+    for face, corners in zip(world.faces, outlines, strict=True):
+        if not _stands(corners[:, 2] - floor_m):
             continue
         if abs(face.normal[2]) > _FLAT:
             polygons.append(corners[:, :2])
