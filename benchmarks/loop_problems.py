@@ -54,7 +54,7 @@ class Condition:
         loop_m: Range of the distances between the reference keyframes.
         loop_yaw_rad: Largest yaw between them.
         depth_m: Range of the depths of landmarks.
-        forward: Rigs and loop lie on one line, the optical axis.
+        forward: Rigs and loop lie close to one line, the optical axis.
     """
 
     noise_px: float = 1.0
@@ -162,7 +162,7 @@ def _cameras(T_ref_others: Sequence[Array]) -> Array:
 def _loop(condition: Condition, rng: np.random.Generator) -> Array:
     direction = rng.normal(size=3)
     if condition.forward:
-        direction = np.array([rng.choice([-1.0, 1.0]), 0.0, 0.0])
+        direction = _ahead(rng) * rng.choice([-1.0, 1.0])
     turn = rng.normal(scale=np.deg2rad(3) / np.sqrt(3), size=3)
     turn[2] = rng.uniform(-condition.loop_yaw_rad, condition.loop_yaw_rad)
     distance = rng.uniform(*condition.loop_m)
@@ -177,13 +177,18 @@ def _steps(condition: Condition, count: int, rng: np.random.Generator) -> list[A
         bearing = angle + rng.normal(scale=0.3)
         direction = np.array([np.cos(bearing), np.sin(bearing), rng.normal(scale=0.2)])
         if condition.forward:
-            direction = np.array([1.0, 0.0, 0.0])
+            direction = _ahead(rng)
         distance = rng.uniform(*condition.step_m)
         turn = rng.normal(scale=condition.step_turn_rad / np.sqrt(3), size=3)
         steps.append(
             frames.transform(frames.so3_exp(turn), distance * direction / np.linalg.norm(direction))
         )
     return steps
+
+
+def _ahead(rng: np.random.Generator) -> Array:
+    """Straight on as robots drive: exactly straight, no two views would tell the scale."""
+    return np.array([1.0, rng.normal(scale=0.15), rng.normal(scale=0.1)])
 
 
 def _noise(condition: Condition, rng: np.random.Generator) -> Array:
