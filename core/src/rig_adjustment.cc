@@ -2,6 +2,7 @@
 #include "rig_adjustment.h"
 
 #include <cmath>
+#include <stdexcept>
 
 #include <Eigen/Cholesky>
 
@@ -91,7 +92,66 @@ void EliminatePoint(const RigAdjustment& problem, size_t track, ReducedSystem& s
   }
 }
 
+Matrix6d Whitening(const Matrix6d& covariance) {
+  const Eigen::LLT<Matrix6d> llt(covariance);
+  return llt.matrixL().solve(Matrix6d::Identity());
+}
+
+// Motions of a rig, its cameras numbered from first_camera on.
+void AppendMotions(const RefinedRig& rig, int first_camera, RigAdjustment& problem) {
+  for (const RigMotion& motion : rig.motions) {
+    problem.motions.push_back({first_camera + motion.from, first_camera + motion.to,
+                               rig.T_rig_cam[static_cast<size_t>(motion.from)].inverse() *
+                                   rig.T_rig_cam[static_cast<size_t>(motion.to)],
+                               Whitening(motion.covariance)});
+  }
+}
+
+BearingMeasurement Measure(const TrackObservation& observation, double focal_px, double sigma_px) {
+  return {observation.camera, observation.bearing,
+          focal_px / sigma_px * TangentBasis(observation.bearing)};
+}
+
 }  // namespace
+
+RigAdjustment MakeAdjustment(const RefinedRig& cand,
+                             const RefinedRig& query,
+                             const RigTracks& tracks,
+                             const RigRefinementOptions& options) {
+  const size_t num_cand = cand.T_rig_cam.size();
+  RigAdjustment problem;
+  problem.num_cameras = static_cast<int>(num_cand + query.T_rig_cam.size());
+  AppendMotions(cand, 0, problem);
+  AppendMotions(query, static_cast<int>(num_cand), problem);
+  problem.begins = tracks.begins;
+  problem.observations.reserve(tracks.observations.size());
+  for (const TrackObservation& observation : tracks.observations) {
+    const size_t c = static_cast<size_t>(observation.camera);
+    if (observation.camera < 0 || observation.camera >= problem.num_cameras) {
+      throw std::invalid_argument("RefineRigs: a track names a camera that the rigs do not have");
+    }
+    const double focal_px = c < num_cand ? cand.focal_px[c] : query.focal_px[c - num_cand];
+    problem.observations.push_back(Measure(observation, focal_px, options.sigma_px));
+  }
+  problem.keypoint_loss2 = options.keypoint_loss * options.keypoint_loss;
+  problem.motion_loss2 = options.motion_dof + 6.0;
+  problem.inverse_distance_information =
+      1.0 / (options.max_inverse_distance_per_m * options.max_inverse_distance_per_m);
+  return problem;
+}
+
+std::vector<Eigen::Isometry3d> CamerasInWorld(const std::vector<Eigen::Isometry3d>& T_cand_cam,
+                                              const std::vector<Eigen::Isometry3d>& T_query_cam,
+                                              const Eigen::Isometry3d& T_cand_query) {
+  const Eigen::Isometry3d T_world_cand = T_cand_cam[0].inverse();
+  std::vector<Eigen::Isometry3d> T_world_cam;
+  for (const Eigen::Isometry3d& T : T_cand_cam) T_world_cam.push_back(T_world_cand * T);
+  T_world_cam[0].setIdentity();
+  for (const Eigen::Isometry3d& T : T_query_cam) {
+    T_world_cam.push_back(T_world_cand * T_cand_query * T);
+  }
+  return T_world_cam;
+}
 
 RobustLoss CauchyLoss(double squared_error, double loss2) {
   const double ratio = 1.0 + squared_error / loss2;

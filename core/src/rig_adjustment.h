@@ -45,6 +45,18 @@ struct RigAdjustmentState {
   std::vector<InverseDistancePoint> points;  // by track
 };
 
+// Throws std::invalid_argument for tracks of cameras that the rigs do not have; rigs and options
+// must have been checked.
+RigAdjustment MakeAdjustment(const RefinedRig& cand,
+                             const RefinedRig& query,
+                             const RigTracks& tracks,
+                             const RigRefinementOptions& options);
+
+// Poses of all cameras in the frame of the candidate's first.
+std::vector<Eigen::Isometry3d> CamerasInWorld(const std::vector<Eigen::Isometry3d>& T_cand_cam,
+                                              const std::vector<Eigen::Isometry3d>& T_query_cam,
+                                              const Eigen::Isometry3d& T_cand_query);
+
 // Normal equations of the cameras after elimination of the points, H delta = -gradient, and what
 // brings the points' steps back.
 struct ReducedSystem {

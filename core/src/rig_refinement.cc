@@ -10,75 +10,21 @@
 
 #include "covinz/triangulation.h"
 #include "rig_adjustment.h"
-#include "rig_covariance.h"
 
 namespace covinz {
 namespace {
 
-Matrix6d Whitening(const Matrix6d& covariance) {
-  const Eigen::LLT<Matrix6d> llt(covariance);
-  return llt.matrixL().solve(Matrix6d::Identity());
-}
-
-// Motions of a rig, its cameras numbered from first_camera on.
-void AddMotions(const RefinedRig& rig, int first_camera, RigAdjustment& problem) {
-  for (const RigMotion& motion : rig.motions) {
-    problem.motions.push_back({first_camera + motion.from, first_camera + motion.to,
-                               rig.T_rig_cam[static_cast<size_t>(motion.from)].inverse() *
-                                   rig.T_rig_cam[static_cast<size_t>(motion.to)],
-                               Whitening(motion.covariance)});
-  }
-}
-
-BearingMeasurement Measure(const TrackObservation& observation, double focal_px, double sigma_px) {
-  return {observation.camera, observation.bearing,
-          focal_px / sigma_px * TangentBasis(observation.bearing)};
-}
-
-RigAdjustment MakeProblem(const RefinedRig& cand,
-                          const RefinedRig& query,
-                          const RigTracks& tracks,
-                          const RigRefinementOptions& options) {
-  const size_t num_cand = cand.T_rig_cam.size();
-  RigAdjustment problem;
-  problem.num_cameras = static_cast<int>(num_cand + query.T_rig_cam.size());
-  AddMotions(cand, 0, problem);
-  AddMotions(query, static_cast<int>(num_cand), problem);
-  problem.begins = tracks.begins;
-  problem.observations.reserve(tracks.observations.size());
-  for (const TrackObservation& observation : tracks.observations) {
-    const size_t c = static_cast<size_t>(observation.camera);
-    if (observation.camera < 0 || observation.camera >= problem.num_cameras) {
-      throw std::invalid_argument("RefineRigs: a track names a camera that the rigs do not have");
-    }
-    const double focal_px = c < num_cand ? cand.focal_px[c] : query.focal_px[c - num_cand];
-    problem.observations.push_back(Measure(observation, focal_px, options.sigma_px));
-  }
-  problem.keypoint_loss2 = options.keypoint_loss * options.keypoint_loss;
-  problem.motion_loss2 = options.motion_dof + 6.0;
-  problem.inverse_distance_information =
-      1.0 / (options.max_inverse_distance_per_m * options.max_inverse_distance_per_m);
-  return problem;
-}
-
-RigAdjustmentState InitialState(const RigAdjustment& problem,
-                                const RefinedRig& cand,
-                                const RefinedRig& query,
-                                const Eigen::Isometry3d& T_cand_query) {
-  RigAdjustmentState state;
-  const Eigen::Isometry3d T_world_cand = cand.T_rig_cam[0].inverse();
-  for (const Eigen::Isometry3d& T : cand.T_rig_cam) state.T_world_cam.push_back(T_world_cand * T);
-  state.T_world_cam[0].setIdentity();
-  for (const Eigen::Isometry3d& T : query.T_rig_cam) {
-    state.T_world_cam.push_back(T_world_cand * T_cand_query * T);
-  }
+std::vector<InverseDistancePoint> Triangulate(const RigAdjustment& problem,
+                                              const std::vector<Eigen::Isometry3d>& T_world_cam) {
+  std::vector<InverseDistancePoint> points;
+  points.reserve(problem.NumTracks());
   const BearingMeasurement* observations = problem.observations.data();
   for (size_t t = 0; t < problem.NumTracks(); ++t) {
-    state.points.push_back(TriangulateTrack(observations + problem.begins[t],
-                                            observations + problem.begins[t + 1], state.T_world_cam,
-                                            problem.inverse_distance_information));
+    points.push_back(TriangulateTrack(observations + problem.begins[t],
+                                      observations + problem.begins[t + 1], T_world_cam,
+                                      problem.inverse_distance_information));
   }
-  return state;
+  return points;
 }
 
 // Minimises from the given state, which becomes the result; returns the number of iterations.
@@ -205,8 +151,10 @@ RigRefinement RefineRigs(const RefinedRig& cand,
   options.Check();
   cand.Check();
   query.Check();
-  const RigAdjustment problem = MakeProblem(cand, query, tracks, options);
-  RigAdjustmentState state = InitialState(problem, cand, query, T_cand_query);
+  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  RigAdjustmentState state;
+  state.T_world_cam = CamerasInWorld(cand.T_rig_cam, query.T_rig_cam, T_cand_query);
+  state.points = Triangulate(problem, state.T_world_cam);
   RigRefinement result;
   result.num_iterations = Minimize(problem, options, state, result.cost);
   ExportPoses(cand, query, state, result);
@@ -214,12 +162,7 @@ RigRefinement RefineRigs(const RefinedRig& cand,
   for (const AdjustedMotion& motion : problem.motions) {
     result.motion_residuals.push_back(EvaluateMotion(motion, state).error);
   }
-  const AdjustmentCovariance covariance = EstimateCovariance(problem, state);
-  const Eigen::Index q = 6 * (static_cast<Eigen::Index>(cand.T_rig_cam.size()) - 1);
-  // From the query's first camera to its body.
-  const Matrix6d Ad = AdjointSE3(query.T_rig_cam[0]);
-  result.covariance = Ad * covariance.cameras.block<6, 6>(q, q) * Ad.transpose();
-  result.residuals = covariance.residuals;
+  result.points = std::move(state.points);
   return result;
 }
 

@@ -11,6 +11,7 @@
 
 #include <Eigen/Geometry>
 
+#include "covinz/rig_covariance.h"
 #include "covinz/rig_refinement.h"
 #include "rig_problem.h"
 
@@ -58,10 +59,24 @@ struct RefinementProblem {
   RigTracks Tracks(const Eigen::Isometry3d& T) const {
     return MergeTracks(InlierLinks(rigs, keypoints, inliers, T));
   }
-  RigRefinement Refine(const RigRefinementOptions& options = {}) const {
-    return RefineRigs(cand, query, Tracks(T_cand_query), T_cand_query, options);
-  }
 };
+
+// A refinement with its covariance.
+struct CalibratedRefinement : RigRefinement, RefinementCovariance {};
+
+inline CalibratedRefinement Refine(const RefinementProblem& problem,
+                                   const RigTracks& tracks,
+                                   const Eigen::Isometry3d& start,
+                                   const RigRefinementOptions& options = {}) {
+  const RigRefinement refined = RefineRigs(problem.cand, problem.query, tracks, start, options);
+  return {refined,
+          EstimateRefinementCovariance(problem.cand, problem.query, tracks, refined, options, {})};
+}
+
+// From the truth, with tracks of all its inliers.
+inline CalibratedRefinement Refine(const RefinementProblem& problem) {
+  return Refine(problem, problem.Tracks(problem.T_cand_query), problem.T_cand_query);
+}
 
 // A smooth random displacement of an image: a sum of waves of random direction.
 class SmoothField {

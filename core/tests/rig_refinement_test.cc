@@ -39,8 +39,8 @@ Eigen::Isometry3d Disturb(const Eigen::Isometry3d& T, uint64_t seed) {
   return T * ExpSE3(xi);
 }
 
-RigRefinement Refine(const RefinementProblem& problem, const Eigen::Isometry3d& start) {
-  return RefineRigs(problem.cand, problem.query, problem.Tracks(problem.T_cand_query), start, {});
+CalibratedRefinement Refine(const RefinementProblem& problem, const Eigen::Isometry3d& start) {
+  return Refine(problem, problem.Tracks(problem.T_cand_query), start);
 }
 
 double Nees(const Vector6d& error, const Matrix6d& covariance) {
@@ -58,9 +58,8 @@ TEST(RefineRigs, ExactDataGiveTheTruth) {
     RigRefinementOptions options;
     options.max_num_iterations = 30;
     options.min_relative_decrease = 0.0;
-    const RigRefinement result =
-        RefineRigs(problem.cand, problem.query, problem.Tracks(problem.T_cand_query),
-                   Disturb(problem.T_cand_query, seed), options);
+    const CalibratedRefinement result = Refine(problem, problem.Tracks(problem.T_cand_query),
+                                               Disturb(problem.T_cand_query, seed), options);
     EXPECT_LT(PoseError(problem.T_cand_query, result.T_cand_query).norm(), 1e-5);
     // The pull of the points to infinity is all that is left.
     EXPECT_LT(result.cost, 1.0);
@@ -81,7 +80,7 @@ TEST(RefineRigs, FreeRigPosesAreRecoveredUnderOdometryNoise) {
   std::vector<double> error_m, error_rad, rig_rad, odometry_rad;
   for (uint64_t seed = 0; seed < 40; ++seed) {
     const RefinementProblem problem = MakeRefinementProblem(Ordinary(seed));
-    const RigRefinement result = Refine(problem, Disturb(problem.T_cand_query, seed));
+    const CalibratedRefinement result = Refine(problem, Disturb(problem.T_cand_query, seed));
     const Vector6d error = PoseError(problem.T_cand_query, result.T_cand_query);
     error_m.push_back(error.tail<3>().norm());
     error_rad.push_back(error.head<3>().norm());
@@ -106,7 +105,8 @@ Calibration Calibrate(RefinementProblemOptions options, int num_trials) {
   for (int i = 0; i < num_trials; ++i) {
     options.seed = uint64_t(i);
     const RefinementProblem problem = MakeRefinementProblem(options);
-    const RigRefinement refined = Refine(problem, Disturb(problem.T_cand_query, options.seed));
+    const CalibratedRefinement refined =
+        Refine(problem, Disturb(problem.T_cand_query, options.seed));
     const double nees =
         Nees(PoseError(problem.T_cand_query, refined.T_cand_query), refined.covariance);
     result.mean += nees / num_trials;
@@ -156,10 +156,10 @@ TEST(RefineRigs, CovarianceIsHonestWhenNeighboursShareTheirErrors) {
 
 TEST(RefineRigs, SharedErrorsAreToldFromIndependentOnes) {
   RefinementProblemOptions options = Ordinary(3);
-  EXPECT_LT(MakeRefinementProblem(options).Refine().residuals.shared, 0.3);
-  EXPECT_NEAR(MakeRefinementProblem(options).Refine().residuals.independent, 1.0, 0.15);
+  EXPECT_LT(Refine(MakeRefinementProblem(options)).shared_px, 0.3);
+  EXPECT_NEAR(Refine(MakeRefinementProblem(options)).independent_px, 1.0, 0.15);
   options.shared_px = 1.0;
-  EXPECT_NEAR(MakeRefinementProblem(options).Refine().residuals.shared, 1.0, 0.4);
+  EXPECT_NEAR(Refine(MakeRefinementProblem(options)).shared_px, 1.0, 0.4);
 }
 
 TEST(RefineRigs, OdometryDecidesWhatTheImagesDoNotSay) {
@@ -169,7 +169,7 @@ TEST(RefineRigs, OdometryDecidesWhatTheImagesDoNotSay) {
   one.begins.resize(2);
   one.observations.resize(size_t(one.begins[1]));
   const Eigen::Isometry3d start = Disturb(problem.T_cand_query, 4);
-  const RigRefinement result = RefineRigs(problem.cand, problem.query, one, start, {});
+  const CalibratedRefinement result = Refine(problem, one, start, {});
   for (size_t c = 0; c < 3; ++c) {
     EXPECT_LT(PoseError(problem.cand.T_rig_cam[c], result.T_cand_cam[c]).norm(), 3e-3);
   }
@@ -183,7 +183,7 @@ TEST(RefineRigs, SureOdometryHoldsTheRigsRigid) {
   for (RefinedRig* rig : {&sure.cand, &sure.query}) {
     for (RigMotion& motion : rig->motions) motion.covariance = 1e-14 * Matrix6d::Identity();
   }
-  const RigRefinement result = Refine(sure, Disturb(problem.T_cand_query, 5));
+  const CalibratedRefinement result = Refine(sure, Disturb(problem.T_cand_query, 5));
   for (size_t c = 0; c < 3; ++c) {
     EXPECT_LT(PoseError(problem.cand.T_rig_cam[c], result.T_cand_cam[c]).norm(), 1e-5);
   }
@@ -194,7 +194,7 @@ TEST(RefineRigs, ScaleThatOnlyOdometryKnowsHasItsUncertainty) {
   RefinementProblemOptions options = Ordinary(6);
   options.min_loop_m = options.max_loop_m = 1.0;
   options.min_step_m = options.max_step_m = 0.1;
-  const RigRefinement result = MakeRefinementProblem(options).Refine();
+  const CalibratedRefinement result = Refine(MakeRefinementProblem(options));
   const double sigma_m = std::sqrt(result.covariance.bottomRightCorner<3, 3>().trace());
   EXPECT_GT(sigma_m, 0.02);
 }
@@ -207,7 +207,7 @@ TEST(RefineRigs, RigsWithoutBaselineNeverClaimAScale) {
     options.turn_rad = 0.14;
     options.min_loop_m = 0.5;
     const RefinementProblem problem = MakeRefinementProblem(options);
-    const RigRefinement result = Refine(problem, Disturb(problem.T_cand_query, seed));
+    const CalibratedRefinement result = Refine(problem, Disturb(problem.T_cand_query, seed));
     const double sigma_m = std::sqrt(result.covariance.bottomRightCorner<3, 3>().trace());
     const Vector6d error = PoseError(problem.T_cand_query, result.T_cand_query);
     EXPECT_TRUE(sigma_m > 0.15 || Nees(error, result.covariance) < 30.0) << seed;
@@ -218,7 +218,7 @@ TEST(RefineRigs, RigsWithoutBaselineNeverClaimAScale) {
 
 TEST(RefineRigs, GrossErrorsAmongTheTracksHardlyMatter) {
   RefinementProblem problem = MakeRefinementProblem(Ordinary(7));
-  const RigRefinement clean = Refine(problem, Disturb(problem.T_cand_query, 7));
+  const CalibratedRefinement clean = Refine(problem, Disturb(problem.T_cand_query, 7));
   std::mt19937_64 engine(7);
   RigTracks tracks = problem.Tracks(problem.T_cand_query);
   size_t num_spoiled = 0;
@@ -227,8 +227,7 @@ TEST(RefineRigs, GrossErrorsAmongTheTracksHardlyMatter) {
     o.bearing = (o.bearing + RandomNormal3(engine, 0.05)).normalized();
     ++num_spoiled;
   }
-  const RigRefinement result =
-      RefineRigs(problem.cand, problem.query, tracks, Disturb(problem.T_cand_query, 7), {});
+  const CalibratedRefinement result = Refine(problem, tracks, Disturb(problem.T_cand_query, 7), {});
   const Vector6d difference = PoseError(clean.T_cand_query, result.T_cand_query);
   EXPECT_LT(Nees(difference, clean.covariance), 6.0);
   size_t num_outliers = 0;
@@ -247,10 +246,11 @@ TEST(RefineRigs, SwappedRigsGiveTheInverse) {
   RigRefinementOptions options;
   options.max_num_iterations = 30;
   options.min_relative_decrease = 1e-12;
-  const RigRefinement forward =
-      RefineRigs(problem.cand, problem.query, tracks, problem.T_cand_query, options);
-  const RigRefinement backward = RefineRigs(problem.query, problem.cand, MergeTracks(links),
-                                            problem.T_cand_query.inverse(), options);
+  const CalibratedRefinement forward = Refine(problem, tracks, problem.T_cand_query, options);
+  RefinementProblem swapped = problem;
+  std::swap(swapped.query, swapped.cand);
+  const CalibratedRefinement backward =
+      Refine(swapped, MergeTracks(links), problem.T_cand_query.inverse(), options);
   // Equal but for the pull of points to infinity, which is taken from the candidate.
   EXPECT_LT(PoseError(forward.T_cand_query, backward.T_cand_query.inverse()).norm(), 2e-4);
   EXPECT_NEAR(forward.cost, backward.cost, 0.1);
@@ -270,9 +270,9 @@ TEST(RefineRigs, BodiesMayBeAnywhereInTheRigs) {
   for (auto& T : moved.query.T_rig_cam) T = T_body_query * T;
   const Eigen::Isometry3d start = Disturb(problem.T_cand_query, 9);
   const RigTracks tracks = problem.Tracks(problem.T_cand_query);
-  const RigRefinement a = RefineRigs(problem.cand, problem.query, tracks, start, {});
-  const RigRefinement b =
-      RefineRigs(moved.cand, moved.query, tracks, T_body_cand * start * T_body_query.inverse(), {});
+  const CalibratedRefinement a = Refine(problem, tracks, start, {});
+  const CalibratedRefinement b =
+      Refine(moved, tracks, T_body_cand * start * T_body_query.inverse(), {});
   EXPECT_LT(PoseError(T_body_cand * a.T_cand_query * T_body_query.inverse(), b.T_cand_query).norm(),
             1e-9);
   EXPECT_NEAR(a.cost, b.cost, 1e-6 * a.cost);
@@ -282,8 +282,8 @@ TEST(RefineRigs, BodiesMayBeAnywhereInTheRigs) {
 
 TEST(RefineRigs, SameInputSameBits) {
   const RefinementProblem problem = MakeRefinementProblem(Ordinary(10));
-  const RigRefinement a = Refine(problem, Disturb(problem.T_cand_query, 10));
-  const RigRefinement b = Refine(problem, Disturb(problem.T_cand_query, 10));
+  const CalibratedRefinement a = Refine(problem, Disturb(problem.T_cand_query, 10));
+  const CalibratedRefinement b = Refine(problem, Disturb(problem.T_cand_query, 10));
   EXPECT_EQ(a.T_cand_query.matrix(), b.T_cand_query.matrix());
   EXPECT_EQ(a.covariance, b.covariance);
   EXPECT_EQ(a.cost, b.cost);
@@ -293,12 +293,11 @@ TEST(RefineRigs, MotionResidualsShowWrongOdometry) {
   std::vector<double> told_right, told_half;
   for (uint64_t seed = 0; seed < 20; ++seed) {
     RefinementProblemOptions options = Ordinary(seed);
-    for (const RigRefinement& r : {MakeRefinementProblem(options).Refine()}) {
-      ASSERT_EQ(r.motion_residuals.size(), 3u);
-      for (const Vector6d& e : r.motion_residuals) told_right.push_back(e.squaredNorm());
-    }
+    const CalibratedRefinement right = Refine(MakeRefinementProblem(options));
+    ASSERT_EQ(right.motion_residuals.size(), 3u);
+    for (const Vector6d& e : right.motion_residuals) told_right.push_back(e.squaredNorm());
     options.odometry_told = 0.5;
-    for (const Vector6d& e : MakeRefinementProblem(options).Refine().motion_residuals) {
+    for (const Vector6d& e : Refine(MakeRefinementProblem(options)).motion_residuals) {
       told_half.push_back(e.squaredNorm());
     }
   }
@@ -307,11 +306,10 @@ TEST(RefineRigs, MotionResidualsShowWrongOdometry) {
 
 TEST(RefineRigs, NoTracksLeaveTheStart) {
   const RefinementProblem problem = MakeRefinementProblem(Ordinary(11));
-  const RigRefinement result =
-      RefineRigs(problem.cand, problem.query, MergeTracks({}), problem.T_cand_query, {});
+  const CalibratedRefinement result = Refine(problem, MergeTracks({}), problem.T_cand_query, {});
   EXPECT_LT(PoseError(problem.T_cand_query, result.T_cand_query).norm(), 1e-12);
   EXPECT_EQ(result.num_inlier_tracks, 0);
-  EXPECT_FALSE(result.covariance.trace() < 1e6);
+  EXPECT_GT(result.covariance.trace(), 1e4);
 }
 
 TEST(RefineRigs, MalformedInputThrows) {
@@ -319,7 +317,7 @@ TEST(RefineRigs, MalformedInputThrows) {
   const auto throws = [&good](auto change) {
     RefinementProblem problem = good;
     change(problem);
-    EXPECT_THROW(problem.Refine(), std::invalid_argument);
+    EXPECT_THROW(Refine(problem), std::invalid_argument);
   };
   throws([](RefinementProblem& p) { p.cand.T_rig_cam.clear(); });
   throws([](RefinementProblem& p) { p.cand.focal_px.pop_back(); });

@@ -6,6 +6,7 @@
 
 #include <Eigen/Geometry>
 
+#include "covinz/bearing_residual.h"
 #include "covinz/rig_tracks.h"
 #include "covinz/se3.h"
 
@@ -32,8 +33,8 @@ struct RefinedRig {
 
 // Options of RefineRigs.
 struct RigRefinementOptions {
-  // Standard deviation of a keypoint [px], per axis; the residuals may show a larger one, which the
-  // covariance then has. [1 px: FAST corners on OpenCV's pyramid, from 0.5 px on its first level]
+  // Standard deviation of a keypoint [px], per axis; what the residuals show of it is the matter of
+  // rig_covariance.h. [1 px: FAST corners on OpenCV's pyramid, from 0.5 px on its first level]
   double sigma_px = 1.0;
   // Cauchy loss of a keypoint, in standard deviations: keeps 92 % of the efficiency of least
   // squares on normal errors. [Hampel et al., "Robust Statistics", 1986]
@@ -52,28 +53,18 @@ struct RigRefinementOptions {
   void Check() const;  // throws std::invalid_argument
 };
 
-// Evidence on the noise, see rig_covariance.h.
-struct ResidualStatistics {
-  // Standard deviation of the independent part of a keypoint's error and of the part that it shares
-  // with its neighbours in the image, in units of sigma_px.
-  double independent = 1.0;
-  double shared = 0.0;
-};
-
 struct RigRefinement {
   Eigen::Isometry3d T_cand_query;             // bodies of the two reference keyframes
   std::vector<Eigen::Isometry3d> T_cand_cam;  // refined camera poses in the rigs' body frames
   std::vector<Eigen::Isometry3d> T_query_cam;
   double cost;  // of keypoints and motions, see RefineRigs
-  // Of the right perturbation of T_cand_query in the query body frame, [rotation, translation],
-  // [rad, m]; positive definite.
-  Matrix6d covariance;
   // For each motion of the candidate's rig, then of the query's: the motion found less the one
   // measured, in standard deviations of the latter (its covariance's Cholesky factor).
   std::vector<Vector6d> motion_residuals;
   std::vector<bool> inliers;  // for each observation of the tracks
   int num_inlier_tracks;      // all observations of which are inliers
-  ResidualStatistics residuals;
+  // Of each track, in the frame of the candidate's first camera.
+  std::vector<InverseDistancePoint> points;
   int num_iterations;
 };
 
