@@ -47,7 +47,7 @@ COVINZ_INLINE Lanes3 Broadcast(const double* v) {
 struct Block {
   Lanes3 c, r, n;  // n = b x r
   Lanes e, along_query, along_cand;
-  Lanes denominator;
+  Lanes inverse_denominator;
   Lanes error2;
   Mask inlier;
 };
@@ -67,9 +67,10 @@ COVINZ_INLINE Block Evaluate(const SampsonPose& pose, const double* block) {
   const double b2 = pose.b[0] * pose.b[0] + pose.b[1] * pose.b[1] + pose.b[2] * pose.b[2];
   const Lanes e2 = out.e * out.e;
   // |c x b|^2 = |b|^2 - (b.c)^2, |b x r|^2 = |b|^2 - (b.r)^2 for unit c and r.
-  out.denominator = pose.query_weight * (b2 - out.along_cand * out.along_cand - e2) +
-                    pose.cand_weight * (b2 - out.along_query * out.along_query - e2);
-  out.error2 = e2 / out.denominator;
+  const Lanes denominator = pose.query_weight * (b2 - out.along_cand * out.along_cand - e2) +
+                            pose.cand_weight * (b2 - out.along_query * out.along_query - e2);
+  out.inverse_denominator = 1.0 / denominator;
+  out.error2 = e2 * out.inverse_denominator;
   const Lanes cosine = Dot(out.r, out.c);
   const Lanes zero = {};
   const Mask parallel = (1.0 - cosine * cosine) < (zero + pose.max_sine2);
@@ -111,7 +112,7 @@ COVINZ_INLINE void JacobianRow(const SampsonPose& pose, const Block& block, Lane
   const Lanes3 rm = Cross(block.r, Cross(block.c, b));
   const double weights = pose.query_weight + pose.cand_weight;
   const Lanes along_e = 1.0 + weights * block.error2;
-  const Lanes along_D = block.e / block.denominator;
+  const Lanes along_D = block.e * block.inverse_denominator;
   const Lanes wc = pose.query_weight * block.along_cand;
   const Lanes wr = pose.cand_weight * block.along_query;
   J[0] = along_e * rm.x - along_D * (wr * block.n.x);
@@ -129,26 +130,28 @@ COVINZ_INLINE SampsonNormalSums Linearize(const SampsonPose& pose,
   Lanes Jte[6] = {};
   Lanes cost = {};
   Mask num_inliers = {};
+  const double inverse_max_error2 = 1.0 / pose.max_error2;
   for (size_t i = 0; i < num_blocks; ++i) {
     const Block block = Evaluate(pose, blocks + i * kBlockSize);
     Lanes J[6];
     JacobianRow(pose, block, J);
-    const Lanes rest = 1.0 - block.error2 / pose.max_error2;
-    const Lanes weight = rest * rest / block.denominator;
-    cost += Select(block.inlier, (pose.max_error2 / 3.0) * (1.0 - rest * rest * rest));
+    const Lanes rest = 1.0 - block.error2 * inverse_max_error2;
+    const Lanes rest2 = rest * rest;
+    cost += Select(block.inlier, 1.0 - rest2 * rest);
     num_inliers -= block.inlier;
+    const Lanes weight = Select(block.inlier, rest2 * block.inverse_denominator);
+    const Lanes e = Select(block.inlier, block.e);
+    for (Lanes& entry : J) entry = Select(block.inlier, entry);
     for (size_t row = 0, entry = 0; row < 6; ++row) {
-      const Lanes weighted = Select(block.inlier, weight * J[row]);
-      Jte[row] += Select(block.inlier, weighted * block.e);
-      for (size_t col = row; col < 6; ++col, ++entry) {
-        JtJ[entry] += Select(block.inlier, weighted * J[col]);
-      }
+      const Lanes weighted = weight * J[row];
+      Jte[row] += weighted * e;
+      for (size_t col = row; col < 6; ++col, ++entry) JtJ[entry] += weighted * J[col];
     }
   }
   SampsonNormalSums sums;
   for (size_t k = 0; k < 21; ++k) sums.JtJ[k] = Sum(JtJ[k]);
   for (size_t k = 0; k < 6; ++k) sums.Jte[k] = Sum(Jte[k]);
-  sums.cost = Sum(cost);
+  sums.cost = pose.max_error2 / 3.0 * Sum(cost);
   sums.num_inliers = Sum(__builtin_convertvector(num_inliers, Lanes));
   return sums;
 }
