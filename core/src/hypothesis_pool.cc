@@ -12,11 +12,15 @@ namespace {
 // Proposals from noisy minimal samples of an equally good pose differ in their gain by about this
 // factor; worse ones are left out.
 constexpr double kMinRelativeGain = 0.4;
+// A hypothesis that is better explained by the other's is no second solution.
+constexpr double kMinRelativeOptimum = 0.5;
 // Local optimisation from wide to narrow, in units of max_error_px. The last is wider than one: the
 // biweight leaves matches at its limit without weight.
 constexpr double kWidths[] = {4.0, 2.0, 1.5};
 constexpr int kIterationsPerWidth = 3;
 constexpr int kFinalIterations = 20;
+// About as many matches are enough to get near an optimum.
+constexpr int kNumApproachMatches = 300;
 // An optimisation that comes this near to an earlier optimum would end there; in units of the
 // distance within which hypotheses are the same.
 constexpr double kNear = 0.5;
@@ -81,8 +85,9 @@ bool HypothesisPool::IsOptimum(const Eigen::Isometry3d& T_cand_query) const {
 // Whether it led to a new optimum.
 bool HypothesisPool::Optimize(const Eigen::Isometry3d& T_start) {
   Eigen::Isometry3d T = T_start;
+  const int stride = std::max(1, sampson_.NumMatches() / kNumApproachMatches);
   for (const double width : kWidths) {
-    T = MinimizeSampson(sampson_, T, width * options_.max_error_px, kIterationsPerWidth);
+    T = MinimizeSampson(sampson_, T, width * options_.max_error_px, kIterationsPerWidth, stride);
     if (IsOptimum(T)) return false;
   }
   optima_.push_back({T, sampson_.Score(T, options_.max_error_px).gain});
@@ -148,9 +153,13 @@ std::vector<RigHypothesis> HypothesisPool::Distinct() {
   LeaveBest();
   std::stable_sort(optima_.begin(), optima_.end(),
                    [](const Pose& a, const Pose& b) { return a.gain > b.gain; });
-  const size_t num_kept =
-      std::min(optima_.size(), static_cast<size_t>(options_.max_num_hypotheses));
-  for (size_t i = 0; i < num_kept; ++i) optima_[i] = Converged(optima_[i]);
+  const double min_gain = kMinRelativeOptimum * optima_.front().gain;
+  size_t num_kept = 0;
+  while (num_kept < optima_.size() && optima_[num_kept].gain >= min_gain &&
+         static_cast<int>(num_kept) < options_.max_num_hypotheses) {
+    optima_[num_kept] = Converged(optima_[num_kept]);
+    ++num_kept;
+  }
   optima_.resize(num_kept);
   std::stable_sort(optima_.begin(), optima_.end(),
                    [](const Pose& a, const Pose& b) { return a.gain > b.gain; });

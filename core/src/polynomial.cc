@@ -12,6 +12,8 @@ constexpr int kMaxDegree = 16;
 constexpr double kNegligible = 1e-13;
 constexpr int kMaxBisections = 50;
 constexpr int kMaxPolishings = 60;
+// Newton's steps square the error, so this one was the last that mattered.
+constexpr double kConvergedStep = 1e-10;
 
 struct Polynomial {
   std::array<double, kMaxDegree + 1> c{};  // c[i] x^i
@@ -43,7 +45,8 @@ void Normalize(double limit, Polynomial& p) {
     p.degree = -1;
     return;
   }
-  for (int i = 0; i <= p.degree; ++i) p.c[static_cast<size_t>(i)] /= largest;
+  const double scale = 1.0 / largest;
+  for (int i = 0; i <= p.degree; ++i) p.c[static_cast<size_t>(i)] *= scale;
   while (std::abs(p.c[static_cast<size_t>(p.degree)]) < kNegligible) --p.degree;
 }
 
@@ -92,7 +95,6 @@ class SturmChain {
   }
 
   const Polynomial& polynomial() const { return chain_[0]; }
-  const Polynomial& derivative() const { return chain_[1]; }
 
  private:
   std::array<Polynomial, kMaxDegree + 1> chain_;
@@ -101,15 +103,16 @@ class SturmChain {
 
 // The one root in (low, high].
 double Polish(const SturmChain& chain, double low, double high) {
-  const double sign_high = std::copysign(1.0, chain.polynomial()(high));
-  const Polynomial derivative = Derivative(chain.polynomial());
+  const Polynomial& p = chain.polynomial();
+  const Polynomial derivative = Derivative(p);
+  const double sign_high = std::copysign(1.0, p(high));
   double x = 0.5 * (low + high);
   for (int i = 0; i < kMaxPolishings; ++i) {
-    const double value = chain.polynomial()(x);
+    const double value = p(x);
     (value * sign_high > 0.0 ? high : low) = x;
     double next = x - value / derivative(x);
     if (!(next > low && next < high)) next = 0.5 * (low + high);
-    if (std::abs(next - x) < 1e-15) return next;
+    if (std::abs(next - x) < kConvergedStep) return next;
     x = next;
   }
   return x;
@@ -124,7 +127,9 @@ struct Interval {
 void RootsWithinOne(const Polynomial& p, bool inverse, std::vector<double>& roots) {
   if (p.degree < 1) return;
   const SturmChain chain(p);
-  std::vector<Interval> open{{-1.0, 1.0, chain.SignChanges(-1.0), chain.SignChanges(1.0), 0}};
+  std::vector<Interval> open;
+  open.reserve(kMaxDegree);
+  open.push_back({-1.0, 1.0, chain.SignChanges(-1.0), chain.SignChanges(1.0), 0});
   while (!open.empty()) {
     const Interval interval = open.back();
     open.pop_back();

@@ -16,8 +16,11 @@ namespace {
 
 constexpr int kSampleSize = 5;
 // A pose of one pair is dropped unless it explains this part of the matches of its pair that the
-// best one explains.
+// best one explains ...
 constexpr double kMinRelativeInliers = 0.5;
+// ... and, besides its sample, more than this part of them, which chance reaches in one of a
+// hundred cases. [measured on random matches at 3 px; in proportion to the width of the band]
+constexpr double kChancePerPx = 0.013;
 // Loops that are more times as long than the longest baseline of a rig have no observable length.
 constexpr double kMaxBaselineRatio = 50.0;
 
@@ -81,11 +84,12 @@ void Search::Iterate() {
   const double parallel_rad =
       options_.max_error_px *
       std::hypot(1.0 / rigs_.pairs[pair].query_focal_px, 1.0 / rigs_.pairs[pair].cand_focal_px);
+  const double by_chance = kSampleSize + kChancePerPx * options_.max_error_px * num_matches;
   for (const UnscaledPose& pose : FivePointPoses(five, parallel_rad)) {
     const int num_inliers =
         sampson_.ScorePair(pair, pose.R_cand_query, pose.direction, options_.max_error_px)
             .num_inliers;
-    if (num_inliers < kMinRelativeInliers * best_of_pair_[pair]) continue;
+    if (num_inliers <= std::max(kMinRelativeInliers * best_of_pair_[pair], by_chance)) continue;
     best_of_pair_[pair] = std::max(best_of_pair_[pair], num_inliers);
     TryDistances(pair, pose, five[0]);
   }

@@ -1,5 +1,6 @@
 #include "covinz/rig_sampson.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -112,14 +113,20 @@ std::vector<std::vector<int>> RigSampson::Inliers(const Eigen::Isometry3d& T_can
 }
 
 SampsonSystem RigSampson::Linearize(const Eigen::Isometry3d& T_cand_query,
-                                    double max_error_px) const {
+                                    double max_error_px,
+                                    int stride) const {
   SampsonSystem system;
+  int num_matches = 0;
   const Eigen::Matrix3d R = T_cand_query.linear();
   for (const Pair& pair : pairs_) {
     const Eigen::Vector3d b = Baseline(pair, T_cand_query);
-    const SampsonNormalSums sums =
-        LinearizeBlocks(kernel_, PoseOf(R, b, pair.query_weight, pair.cand_weight, max_error_px),
-                        rays_.data() + pair.first_block * kBlockSize, pair.num_blocks);
+    const SampsonNormalSums sums = LinearizeBlocks(
+        kernel_, PoseOf(R, b, pair.query_weight, pair.cand_weight, max_error_px),
+        rays_.data() + pair.first_block * kBlockSize, pair.num_blocks, static_cast<size_t>(stride));
+    for (size_t i = 0; i < pair.num_blocks; i += static_cast<size_t>(stride)) {
+      num_matches +=
+          std::min(static_cast<int>(kLanes), pair.num_matches - static_cast<int>(i * kLanes));
+    }
     // Right perturbation (theta, rho) of T_cand_query: the kernel's rotation is R theta, and b
     // moves by R theta x R p_q + R rho.
     Matrix6d chain = Matrix6d::Zero();
@@ -131,7 +138,7 @@ SampsonSystem RigSampson::Linearize(const Eigen::Isometry3d& T_cand_query,
     system.cost += sums.cost;
     system.num_inliers += static_cast<int>(sums.num_inliers);
   }
-  system.cost += (num_matches_ - system.num_inliers) * max_error_px * max_error_px / 3.0;
+  system.cost += (num_matches - system.num_inliers) * max_error_px * max_error_px / 3.0;
   return system;
 }
 

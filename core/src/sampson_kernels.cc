@@ -125,13 +125,14 @@ COVINZ_INLINE void JacobianRow(const SampsonPose& pose, const Block& block, Lane
 
 COVINZ_INLINE SampsonNormalSums Linearize(const SampsonPose& pose,
                                           const double* blocks,
-                                          size_t num_blocks) {
+                                          size_t num_blocks,
+                                          size_t stride) {
   Lanes JtJ[21] = {};
   Lanes Jte[6] = {};
   Lanes cost = {};
   Mask num_inliers = {};
   const double inverse_max_error2 = 1.0 / pose.max_error2;
-  for (size_t i = 0; i < num_blocks; ++i) {
+  for (size_t i = 0; i < num_blocks; i += stride) {
     const Block block = Evaluate(pose, blocks + i * kBlockSize);
     Lanes J[6];
     JacobianRow(pose, block, J);
@@ -169,8 +170,8 @@ COVINZ_INLINE SampsonNormalSums Linearize(const SampsonPose& pose,
     Mark(pose, blocks, num_blocks, inliers);                                                       \
   }                                                                                                \
   target static SampsonNormalSums Linearize##suffix(const SampsonPose& pose, const double* blocks, \
-                                                    size_t num_blocks) {                           \
-    return Linearize(pose, blocks, num_blocks);                                                    \
+                                                    size_t num_blocks, size_t stride) {            \
+    return Linearize(pose, blocks, num_blocks, stride);                                            \
   }
 
 COVINZ_VERSIONS(Portable, )
@@ -204,8 +205,9 @@ void MarkInliers(SampsonKernel kernel,
 SampsonNormalSums LinearizeBlocks(SampsonKernel kernel,
                                   const SampsonPose& pose,
                                   const double* blocks,
-                                  size_t num_blocks) {
-  return COVINZ_DISPATCH(kernel, Linearize, pose, blocks, num_blocks);
+                                  size_t num_blocks,
+                                  size_t stride) {
+  return COVINZ_DISPATCH(kernel, Linearize, pose, blocks, num_blocks, stride);
 }
 
 bool IsSupported(SampsonKernel kernel) {

@@ -46,9 +46,11 @@ void MarkInliers(SampsonKernel kernel,
                  size_t num_blocks,
                  int64_t* inliers);
 
+// Of every stride-th block.
 SampsonNormalSums LinearizeBlocks(SampsonKernel kernel,
                                   const SampsonPose& pose,
                                   const double* blocks,
-                                  size_t num_blocks);
+                                  size_t num_blocks,
+                                  size_t stride);
 
 }  // namespace covinz

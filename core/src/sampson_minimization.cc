@@ -10,7 +10,7 @@ namespace {
 constexpr double kInitialDamping = 1e-4;
 constexpr double kLeastDamping = 1e-9;
 constexpr double kMostDamping = 1e4;
-constexpr double kConvergedStep = 1e-8;
+constexpr double kConvergedStep = 1e-6;
 // Far from the optimum, and where the length of the loop is hardly observable, steps can be wild.
 constexpr double kLongestTurn = 0.2;
 constexpr double kLongestStep = 0.5;
@@ -30,15 +30,16 @@ Vector6d Step(const SampsonSystem& system, double damping) {
 Eigen::Isometry3d MinimizeSampson(const RigSampson& sampson,
                                   const Eigen::Isometry3d& T_cand_query,
                                   double max_error_px,
-                                  int max_num_iterations) {
+                                  int max_num_iterations,
+                                  int stride) {
   Eigen::Isometry3d T = T_cand_query;
-  SampsonSystem system = sampson.Linearize(T, max_error_px);
+  SampsonSystem system = sampson.Linearize(T, max_error_px, stride);
   double damping = kInitialDamping;
   for (int i = 0; i < max_num_iterations && damping < kMostDamping; ++i) {
     const Vector6d step = Step(system, damping);
     if (!step.allFinite() || step.norm() < kConvergedStep) break;
     const Eigen::Isometry3d T_new = T * ExpSE3(step);
-    const SampsonSystem system_new = sampson.Linearize(T_new, max_error_px);
+    const SampsonSystem system_new = sampson.Linearize(T_new, max_error_px, stride);
     if (system_new.cost < system.cost) {
       T = T_new;
       system = system_new;

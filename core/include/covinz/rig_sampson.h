@@ -68,10 +68,13 @@ class RigSampson {
 
   // Normal equations of the biweight cost  k^2 / 3 (1 - (1 - error^2 / k^2)^3)  of inliers within
   // k = max_error_px, k^2 / 3 of the others: weights (1 - error^2 / k^2)^2. The denominator is
-  // differentiated too; held constant it would shrink the scale.
+  // differentiated too; held constant it would shrink the scale. With a stride, only of every
+  // stride-th group of eight matches.
   //
   // Source: Beaton and Tukey, "The fitting of power series", Technometrics 1974.
-  SampsonSystem Linearize(const Eigen::Isometry3d& T_cand_query, double max_error_px) const;
+  SampsonSystem Linearize(const Eigen::Isometry3d& T_cand_query,
+                          double max_error_px,
+                          int stride = 1) const;
 
   size_t NumPairs() const { return pairs_.size(); }
   int NumMatches() const { return num_matches_; }
