@@ -131,6 +131,19 @@ def local_error(T_ref: Array, T: Array) -> Array:
     return np.concatenate([so3_log(delta[..., :3, :3]), delta[..., :3, 3]], axis=-1)
 
 
+def adjoint(T_a_b: Array) -> Array:
+    """(6, 6) that carries a small right perturbation [rotation, translation] from frame b to a.
+
+    ``T_a_b @ Exp(xi) @ inv(T_a_b) = Exp(adjoint(T_a_b) @ xi)`` to first order. A
+    covariance follows as ``Ad @ covariance @ Ad.T``.
+    """
+    R, p = T_a_b[:3, :3], T_a_b[:3, 3]
+    result = np.zeros((6, 6))
+    result[:3, :3] = result[3:, 3:] = R
+    result[3:, :3] = np.cross(p, R, axisb=0, axisc=0)
+    return result
+
+
 def interpolate(T_0: Array, T_1: Array, fraction: float) -> Array:
     """Pose between two (4, 4) poses: constant angular velocity, straight line."""
     R = T_0[:3, :3] @ so3_exp(fraction * so3_log(T_0[:3, :3].T @ T_1[:3, :3]))

@@ -5,6 +5,7 @@
 
 namespace covinz {
 
+void BindFastLoop(nanobind::module_& m);
 void BindLoopGeometry(nanobind::module_& m);
 void BindPlaceRecognition(nanobind::module_& m);
 void BindPoseGraph(nanobind::module_& m);

@@ -158,6 +158,10 @@ RobustLoss CauchyLoss(double squared_error, double loss2) {
   return {loss2 * std::log(ratio), 1.0 / ratio};
 }
 
+RobustLoss MotionLoss(double squared_error, const RigRefinementOptions& options) {
+  return CauchyLoss(squared_error, options.motion_dof + 6.0);
+}
+
 RobustLoss KeypointLoss(const RigAdjustment& problem,
                         const BearingMeasurement& measured,
                         double squared_error,

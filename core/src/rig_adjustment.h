@@ -77,6 +77,10 @@ struct RobustLoss {
 };
 RobustLoss CauchyLoss(double squared_error, double loss2);
 
+// Loss of a motion, Student's: with dof + 6 in place of dof as the scale the weight is 1 where the
+// residual is 0, so a motion that the images do not test keeps its own covariance.
+RobustLoss MotionLoss(double squared_error, const RigRefinementOptions& options);
+
 // A keypoint's loss; one behind its camera costs as one at a right angle and has no weight.
 RobustLoss KeypointLoss(const RigAdjustment& problem,
                         const BearingMeasurement& measured,

@@ -43,13 +43,15 @@ struct RefinementProblemOptions {
   bool forward = false;
   double num_matches = 900;
   double repeatability = 0.7;
+  // Wrong matches among all matches; they are not in the problem's inliers.
+  double outlier_share = 0.0;
   uint64_t seed = 0;
 };
 
 struct RefinementProblem {
-  RigPairs rigs;  // true matches alone
+  RigPairs rigs;
   std::vector<std::vector<Match>> keypoints;
-  std::vector<std::vector<int>> inliers;  // all
+  std::vector<std::vector<int>> inliers;  // the true matches
   RefinedRig cand;
   RefinedRig query;
   Eigen::Isometry3d T_cand_query;  // ground truth
@@ -213,6 +215,24 @@ class RefinementProblemMaker {
       std::array<std::optional<Eigen::Vector3d>, 5> seen;
       for (size_t c = 0; c < 5; ++c) seen[c] = See(T_cam_cand[c] * point, fields[c]);
       num_matches += AddMatches(seen, rows, problem);
+    }
+    AddWrongMatches(rows, problem);
+  }
+
+  // Keypoints of their own, anywhere in both images.
+  void AddWrongMatches(std::array<int, 5>& rows, RefinementProblem& problem) {
+    const double share = options_.outlier_share;
+    const auto anywhere = [this] {
+      return Eigen::Vector3d(Uniform(-376, 376), Uniform(-240, 240), kFocal_px).normalized();
+    };
+    for (size_t p = 0; p < 6; ++p) {
+      BearingPairs& pairs = problem.rigs.pairs[p];
+      const int num_wrong = int(share / (1.0 - share) * double(pairs.size()));
+      for (int i = 0; i < num_wrong; ++i) {
+        problem.keypoints[p].push_back({rows[p / 3]++, rows[2 + p % 3]++});
+        pairs.query.push_back(anywhere());
+        pairs.cand.push_back(anywhere());
+      }
     }
   }
 
