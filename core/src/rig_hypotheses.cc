@@ -35,7 +35,7 @@ class Search {
   Search(const RigPairs& rigs, const RigHypothesisOptions& options, uint64_t seed)
       : rigs_(rigs),
         options_(options),
-        sampson_(rigs, options.kernel),
+        sampson_(rigs, options.instruction_set),
         pool_(sampson_, options),
         random_(seed),
         max_distance_m_(kMaxBaselineRatio * LongestBaseline_m(rigs)),

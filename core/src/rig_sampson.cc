@@ -35,8 +35,10 @@ Matrix6d Symmetric(const double upper[21]) {
 
 }  // namespace
 
-RigSampson::RigSampson(const RigPairs& rigs, SampsonKernel kernel) : kernel_(kernel) {
-  if (!IsSupported(kernel)) throw std::invalid_argument("this processor lacks the Sampson kernel");
+RigSampson::RigSampson(const RigPairs& rigs, InstructionSet instruction_set)
+    : instruction_set_(instruction_set) {
+  if (!IsSupported(instruction_set))
+    throw std::invalid_argument("this processor lacks the instruction set");
   rigs.Check();
   for (size_t p = 0; p < rigs.pairs.size(); ++p) {
     const BearingPairs& matches = rigs.pairs[p];
@@ -78,8 +80,8 @@ RigScore RigSampson::ScorePair(size_t pair_index,
   const Pair& pair = pairs_[pair_index];
   const SampsonPose pose =
       PoseOf(R_cand_query, baseline, pair.query_weight, pair.cand_weight, max_error_px);
-  const SampsonSums sums =
-      ScoreBlocks(kernel_, pose, rays_.data() + pair.first_block * kBlockSize, pair.num_blocks);
+  const SampsonSums sums = ScoreBlocks(
+      instruction_set_, pose, rays_.data() + pair.first_block * kBlockSize, pair.num_blocks);
   return {sums.gain, static_cast<int>(sums.num_inliers)};
 }
 
@@ -101,7 +103,7 @@ std::vector<std::vector<int>> RigSampson::Inliers(const Eigen::Isometry3d& T_can
   for (size_t p = 0; p < pairs_.size(); ++p) {
     const Pair& pair = pairs_[p];
     marks.resize(pair.num_blocks * kLanes);
-    MarkInliers(kernel_,
+    MarkInliers(instruction_set_,
                 PoseOf(T_cand_query.linear(), Baseline(pair, T_cand_query), pair.query_weight,
                        pair.cand_weight, max_error_px),
                 rays_.data() + pair.first_block * kBlockSize, pair.num_blocks, marks.data());
@@ -121,7 +123,7 @@ SampsonSystem RigSampson::Linearize(const Eigen::Isometry3d& T_cand_query,
   for (const Pair& pair : pairs_) {
     const Eigen::Vector3d b = Baseline(pair, T_cand_query);
     const SampsonNormalSums sums = LinearizeBlocks(
-        kernel_, PoseOf(R, b, pair.query_weight, pair.cand_weight, max_error_px),
+        instruction_set_, PoseOf(R, b, pair.query_weight, pair.cand_weight, max_error_px),
         rays_.data() + pair.first_block * kBlockSize, pair.num_blocks, static_cast<size_t>(stride));
     for (size_t i = 0; i < pair.num_blocks; i += static_cast<size_t>(stride)) {
       num_matches +=

@@ -178,52 +178,36 @@ COVINZ_VERSIONS(Portable, )
 
 #if defined(__x86_64__)
 COVINZ_VERSIONS(Avx2, __attribute__((target("avx2"))))
-COVINZ_VERSIONS(Avx512, __attribute__((target("avx512f,avx512dq"))))
-#define COVINZ_DISPATCH(kernel, name, ...)                       \
-  (kernel) == SampsonKernel::kAvx512 ? name##Avx512(__VA_ARGS__) \
-  : (kernel) == SampsonKernel::kAvx2 ? name##Avx2(__VA_ARGS__)   \
-                                     : name##Portable(__VA_ARGS__)
+COVINZ_VERSIONS(Avx512, __attribute__((target("avx512f"))))
+#define COVINZ_DISPATCH(set, name, ...)                        \
+  (set) == InstructionSet::kAvx512 ? name##Avx512(__VA_ARGS__) \
+  : (set) == InstructionSet::kAvx2 ? name##Avx2(__VA_ARGS__)   \
+                                   : name##Portable(__VA_ARGS__)
 #else
-#define COVINZ_DISPATCH(kernel, name, ...) (void)(kernel), name##Portable(__VA_ARGS__)
+#define COVINZ_DISPATCH(set, name, ...) (void)(set), name##Portable(__VA_ARGS__)
 #endif
 
-SampsonSums ScoreBlocks(SampsonKernel kernel,
+SampsonSums ScoreBlocks(InstructionSet instruction_set,
                         const SampsonPose& pose,
                         const double* blocks,
                         size_t num_blocks) {
-  return COVINZ_DISPATCH(kernel, Score, pose, blocks, num_blocks);
+  return COVINZ_DISPATCH(instruction_set, Score, pose, blocks, num_blocks);
 }
 
-void MarkInliers(SampsonKernel kernel,
+void MarkInliers(InstructionSet instruction_set,
                  const SampsonPose& pose,
                  const double* blocks,
                  size_t num_blocks,
                  int64_t* inliers) {
-  COVINZ_DISPATCH(kernel, Mark, pose, blocks, num_blocks, inliers);
+  COVINZ_DISPATCH(instruction_set, Mark, pose, blocks, num_blocks, inliers);
 }
 
-SampsonNormalSums LinearizeBlocks(SampsonKernel kernel,
+SampsonNormalSums LinearizeBlocks(InstructionSet instruction_set,
                                   const SampsonPose& pose,
                                   const double* blocks,
                                   size_t num_blocks,
                                   size_t stride) {
-  return COVINZ_DISPATCH(kernel, Linearize, pose, blocks, num_blocks, stride);
-}
-
-bool IsSupported(SampsonKernel kernel) {
-#if defined(__x86_64__)
-  if (kernel == SampsonKernel::kAvx512) {
-    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq");
-  }
-  if (kernel == SampsonKernel::kAvx2) return __builtin_cpu_supports("avx2");
-#endif
-  return kernel == SampsonKernel::kPortable;
-}
-
-SampsonKernel FastestSampsonKernel() {
-  if (IsSupported(SampsonKernel::kAvx512)) return SampsonKernel::kAvx512;
-  if (IsSupported(SampsonKernel::kAvx2)) return SampsonKernel::kAvx2;
-  return SampsonKernel::kPortable;
+  return COVINZ_DISPATCH(instruction_set, Linearize, pose, blocks, num_blocks, stride);
 }
 
 }  // namespace covinz

@@ -34,20 +34,20 @@ struct SampsonNormalSums {
   double num_inliers;
 };
 
-SampsonSums ScoreBlocks(SampsonKernel kernel,
+SampsonSums ScoreBlocks(InstructionSet instruction_set,
                         const SampsonPose& pose,
                         const double* blocks,
                         size_t num_blocks);
 
 // inliers[i] is 1 for an inlier, else 0; kLanes a block.
-void MarkInliers(SampsonKernel kernel,
+void MarkInliers(InstructionSet instruction_set,
                  const SampsonPose& pose,
                  const double* blocks,
                  size_t num_blocks,
                  int64_t* inliers);
 
 // Of every stride-th block.
-SampsonNormalSums LinearizeBlocks(SampsonKernel kernel,
+SampsonNormalSums LinearizeBlocks(InstructionSet instruction_set,
                                   const SampsonPose& pose,
                                   const double* blocks,
                                   size_t num_blocks,

@@ -1,5 +1,5 @@
 // The vectorised Sampson errors against epipolar.h, their Jacobian against differences, and the
-// kernels against one another.
+// instruction sets against one another.
 #include "covinz/rig_sampson.h"
 
 #include <cmath>
@@ -24,13 +24,13 @@ RigProblem NoisyProblem(uint64_t seed) {
   return MakeRigProblem(options);
 }
 
-std::vector<SampsonKernel> Kernels() {
-  std::vector<SampsonKernel> kernels;
-  for (const SampsonKernel kernel :
-       {SampsonKernel::kPortable, SampsonKernel::kAvx2, SampsonKernel::kAvx512}) {
-    if (IsSupported(kernel)) kernels.push_back(kernel);
+std::vector<InstructionSet> Supported() {
+  std::vector<InstructionSet> supported;
+  for (const InstructionSet set :
+       {InstructionSet::kPortable, InstructionSet::kAvx2, InstructionSet::kAvx512}) {
+    if (IsSupported(set)) supported.push_back(set);
   }
-  return kernels;
+  return supported;
 }
 
 Eigen::Isometry3d CameraPose(const RigPairs& rigs, size_t p, const Eigen::Isometry3d& T) {
@@ -132,13 +132,13 @@ TEST(RigSampson, JacobianIsThatOfTheError) {
   }
 }
 
-TEST(RigSampson, AllKernelsGiveTheSameBits) {
+TEST(RigSampson, AllInstructionSetsGiveTheSameBits) {
   for (uint64_t seed = 0; seed < 5; ++seed) {
     const RigProblem problem = NoisyProblem(seed);
-    const RigSampson portable(problem.rigs, SampsonKernel::kPortable);
+    const RigSampson portable(problem.rigs, InstructionSet::kPortable);
     const Eigen::Isometry3d& T = problem.T_cand_query;
-    for (const SampsonKernel kernel : Kernels()) {
-      const RigSampson other(problem.rigs, kernel);
+    for (const InstructionSet set : Supported()) {
+      const RigSampson other(problem.rigs, set);
       EXPECT_EQ(portable.Score(T, 3.0).gain, other.Score(T, 3.0).gain);
       EXPECT_EQ(portable.Inliers(T, 3.0), other.Inliers(T, 3.0));
       const SampsonSystem a = portable.Linearize(T, 3.0);

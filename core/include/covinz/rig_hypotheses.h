@@ -31,7 +31,7 @@ struct RigHypothesisOptions {
   double max_same_distance_m = 0.1;
   double max_same_angle_rad = 0.026;
   double min_same_overlap = 0.5;
-  SampsonKernel kernel = FastestSampsonKernel();
+  InstructionSet instruction_set = BestInstructionSet();
 
   void Check() const;  // throws std::invalid_argument
 };

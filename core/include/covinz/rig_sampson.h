@@ -1,28 +1,15 @@
 // Sampson errors of all matches of two rigs at once: what the joint RANSAC scores and optimises.
 #pragma once
 
-#include <array>
-#include <memory>
 #include <vector>
 
 #include <Eigen/Geometry>
 
+#include "covinz/instruction_set.h"
 #include "covinz/rig_relative_pose.h"
 #include "covinz/se3.h"
 
 namespace covinz {
-
-// What the kernels may use. All give the same bits: the lanes are independent, sums are of eight
-// lanes whatever the width of a register, and multiplications are never fused with additions.
-enum class SampsonKernel {
-  kPortable,  // the instruction set the library is built for
-  kAvx2,
-  kAvx512
-};
-
-// Whether this processor runs the kernel.
-bool IsSupported(SampsonKernel kernel);
-SampsonKernel FastestSampsonKernel();
 
 struct RigScore {
   // Sum over the inliers of max_error^2 - error^2 [px^2]: N max_error^2 less the cost of MSAC.
@@ -48,10 +35,15 @@ struct SampsonSystem {
 // the error of SquaredSampsonError_px2 in epipolar.h. A match is an inlier when error <= max_error
 // and its rays meet in front of both cameras (InFrontOfBoth).
 //
+// Every instruction set gives the same bits: matches are independent lanes, sums are of eight lanes
+// whatever the width of a register, and multiplications are never fused with additions.
+//
 // Source: Sampson 1982; Torr and Zisserman, "MLESAC", CVIU 2000 (MSAC).
 class RigSampson {
  public:
-  explicit RigSampson(const RigPairs& rigs, SampsonKernel kernel = FastestSampsonKernel());
+  // Throws std::invalid_argument on malformed input, or where this processor lacks the
+  // instructions.
+  explicit RigSampson(const RigPairs& rigs, InstructionSet instruction_set = BestInstructionSet());
 
   // Score of all matches.
   RigScore Score(const Eigen::Isometry3d& T_cand_query, double max_error_px) const;
@@ -91,7 +83,7 @@ class RigSampson {
 
   Eigen::Vector3d Baseline(const Pair& pair, const Eigen::Isometry3d& T_cand_query) const;
 
-  SampsonKernel kernel_;
+  InstructionSet instruction_set_;
   std::vector<Pair> pairs_;
   int num_matches_ = 0;
   // Blocks of eight matches: q.x of all eight, q.y, q.z, c.x, c.y, c.z. The last block of a pair is
