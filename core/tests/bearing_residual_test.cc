@@ -1,11 +1,10 @@
-// The keypoint residual and the point it is about: values, Jacobians, far points, triangulation.
+// The keypoint residual and the point it is about: values, Jacobians, far points.
 #include "covinz/bearing_residual.h"
 
 #include <random>
 
 #include <gtest/gtest.h>
 
-#include "covinz/triangulation.h"
 #include "rig_problem.h"
 
 namespace covinz {
@@ -70,34 +69,6 @@ TEST(EvaluateBearing, JacobiansMatchDifferences) {
       EXPECT_LT((residual.J_point.col(k) - difference).norm(), 1e-5 * (1.0 + difference.norm()));
     }
   }
-}
-
-TEST(TriangulateTrack, FindsThePointWhereRaysMeet) {
-  std::mt19937_64 engine(3);
-  for (int i = 0; i < 50; ++i) {
-    InverseDistancePoint point =
-        PointAt(Eigen::Vector3d(0.0, 0.0, 4.0) + RandomNormal3(engine, 1.0));
-    if (i % 5 == 0) point.inverse_distance = 0.0;
-    std::vector<Eigen::Isometry3d> poses;
-    std::vector<BearingMeasurement> track;
-    for (int c = 0; c < 2 + i % 4; ++c) {
-      poses.push_back(RandomPose(engine, 0.3, 0.4));
-      track.push_back(Measure(RayInCamera(point, poses.back()).normalized(), 0.002, c));
-    }
-    const InverseDistancePoint found =
-        TriangulateTrack(track.data(), track.data() + track.size(), poses, 1e-6);
-    EXPECT_LT((found.direction - point.direction).norm(), 1e-6);
-    EXPECT_NEAR(found.inverse_distance, point.inverse_distance, 1e-5);
-  }
-}
-
-TEST(TriangulateTrack, ParallelRaysFromOnePlaceAreNotSingular) {
-  const std::vector<Eigen::Isometry3d> poses(2, Eigen::Isometry3d::Identity());
-  const std::vector<BearingMeasurement> track{Measure(Eigen::Vector3d::UnitZ(), 0.002, 0),
-                                              Measure(Eigen::Vector3d::UnitZ(), 0.002, 1)};
-  const InverseDistancePoint found = TriangulateTrack(track.data(), track.data() + 2, poses, 0.01);
-  EXPECT_LT((found.direction - Eigen::Vector3d::UnitZ()).norm(), 1e-12);
-  EXPECT_EQ(found.inverse_distance, 0.0);
 }
 
 }  // namespace
