@@ -7,6 +7,7 @@ namespace covinz {
 
 void BindFastLoop(nanobind::module_& m);
 void BindLoopGeometry(nanobind::module_& m);
+void BindMatching(nanobind::module_& m);  // after BindLoopGeometry, whose MatchingOptions it takes
 void BindPlaceRecognition(nanobind::module_& m);
 void BindPoseGraph(nanobind::module_& m);
 

@@ -12,6 +12,8 @@ bool IsSupported(InstructionSet instruction_set) {
     case InstructionSet::kNeon:
       return true;
 #elif defined(__x86_64__)
+    case InstructionSet::kSse42:
+      return __builtin_cpu_supports("sse4.2");
     case InstructionSet::kAvx2:
       return __builtin_cpu_supports("avx2");
     case InstructionSet::kAvx512:
@@ -24,8 +26,8 @@ bool IsSupported(InstructionSet instruction_set) {
 }
 
 InstructionSet BestInstructionSet() {
-  for (const InstructionSet best :
-       {InstructionSet::kAvx512, InstructionSet::kAvx2, InstructionSet::kNeon}) {
+  for (const InstructionSet best : {InstructionSet::kAvx512, InstructionSet::kAvx2,
+                                    InstructionSet::kSse42, InstructionSet::kNeon}) {
     if (IsSupported(best)) return best;
   }
   return InstructionSet::kPortable;

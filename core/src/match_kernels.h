@@ -53,6 +53,7 @@ struct MatchKernels {
 // Without kernels (num_lanes 0) where the build's processor family has no such instruction set.
 extern const MatchKernels kPortableMatchKernels;
 extern const MatchKernels kNeonMatchKernels;
+extern const MatchKernels kSse42MatchKernels;
 extern const MatchKernels kAvx2MatchKernels;
 extern const MatchKernels kAvx512MatchKernels;
 

@@ -121,7 +121,7 @@ class SquaredDistances {
 
 }  // namespace
 
-const MatchKernels kPortableMatchKernels = {COVINZ_LANES, &ScanTile<HammingDistances, 4>,
+const MatchKernels kPortableMatchKernels = {COVINZ_LANES, &ScanTile<HammingDistances, 2>,
                                             &ScanTile<SquaredDistances, 4>};
 
 }  // namespace covinz

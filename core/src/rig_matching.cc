@@ -46,6 +46,8 @@ const MatchKernels& KernelsFor(InstructionSet instruction_set) {
       return kAvx512MatchKernels;
     case InstructionSet::kAvx2:
       return kAvx2MatchKernels;
+    case InstructionSet::kSse42:
+      return kSse42MatchKernels;
     case InstructionSet::kNeon:
       return kNeonMatchKernels;
     default:

@@ -11,7 +11,8 @@ namespace covinz {
 namespace {
 
 constexpr InstructionSet kAll[] = {InstructionSet::kPortable, InstructionSet::kNeon,
-                                   InstructionSet::kAvx2, InstructionSet::kAvx512};
+                                   InstructionSet::kSse42, InstructionSet::kAvx2,
+                                   InstructionSet::kAvx512};
 
 std::vector<InstructionSet> Supported() {
   std::vector<InstructionSet> supported;

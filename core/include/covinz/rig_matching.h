@@ -63,6 +63,8 @@ class PackedDescriptors {
 // descriptors differ in length, the options are out of range or the processor lacks the instruction
 // set.
 //
+// The NEON kernels were tested in emulation (qemu-user), never timed.
+//
 // Source: COVINS-G, III-B2 (brute force); Lowe, IJCV 2004 (ratio); Mula, Kurz, Lemire, "Faster
 // population counts using AVX2 instructions", The Computer Journal 2018 (kernels).
 std::vector<Match> MatchPacked(const PackedDescriptors& query,
