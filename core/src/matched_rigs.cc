@@ -1,31 +1,18 @@
 // All camera pairs of two rigs, matched.
 #include "matched_rigs.h"
 
+#include "covinz/rig_matching.h"
+
 namespace covinz {
 namespace {
 
-std::vector<int> RowsWithBearing(const RigCamera& camera) {
-  std::vector<int> rows;
-  for (Eigen::Index i = 0; i < camera.bearings.rows(); ++i) {
-    if (camera.bearings.row(i).allFinite()) rows.push_back(static_cast<int>(i));
-  }
-  return rows;
-}
-
-// The features that take part, gathered once for all pairs.
-struct Features {
-  std::vector<int> rows;
-  Descriptors descriptors;
-};
-
-std::vector<Features> FeaturesOf(const std::vector<RigCamera>& cameras) {
-  std::vector<Features> result;
+std::vector<PackedDescriptors> Pack(const std::vector<RigCamera>& cameras) {
+  std::vector<PackedDescriptors> packed;
   for (const RigCamera& camera : cameras) {
     camera.Check();
-    result.push_back({RowsWithBearing(camera), {}});
-    result.back().descriptors = camera.descriptors(result.back().rows, Eigen::all);
+    packed.emplace_back(camera.descriptors, camera.bearings);
   }
-  return result;
+  return packed;
 }
 
 }  // namespace
@@ -33,9 +20,8 @@ std::vector<Features> FeaturesOf(const std::vector<RigCamera>& cameras) {
 MatchedRigs MatchRigs(const std::vector<RigCamera>& query,
                       const std::vector<RigCamera>& cand,
                       const MatchingOptions& options) {
-  const std::vector<Features> query_features = FeaturesOf(query);
-  const std::vector<Features> cand_features = FeaturesOf(cand);
   MatchedRigs result;
+  result.keypoints = MatchRigs(Pack(query), Pack(cand), options);
   for (const RigCamera& camera : query) result.rigs.T_query_cam.push_back(camera.T_rig_cam);
   for (const RigCamera& camera : cand) result.rigs.T_cand_cam.push_back(camera.T_rig_cam);
   for (size_t q = 0; q < query.size(); ++q) {
@@ -45,16 +31,11 @@ MatchedRigs MatchRigs(const std::vector<RigCamera>& query,
       pairs.cand_cam = static_cast<int>(c);
       pairs.query_focal_px = query[q].focal_px;
       pairs.cand_focal_px = cand[c].focal_px;
-      std::vector<Match> keypoints;
-      for (const Match& match :
-           MatchDescriptors(query_features[q].descriptors, cand_features[c].descriptors, options)) {
-        keypoints.push_back({query_features[q].rows[static_cast<size_t>(match.query)],
-                             cand_features[c].rows[static_cast<size_t>(match.cand)]});
-        pairs.query.push_back(query[q].bearings.row(keypoints.back().query));
-        pairs.cand.push_back(cand[c].bearings.row(keypoints.back().cand));
+      for (const Match& match : result.keypoints[result.rigs.pairs.size()]) {
+        pairs.query.push_back(query[q].bearings.row(match.query));
+        pairs.cand.push_back(cand[c].bearings.row(match.cand));
       }
       result.rigs.pairs.push_back(std::move(pairs));
-      result.keypoints.push_back(std::move(keypoints));
     }
   }
   return result;

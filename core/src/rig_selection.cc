@@ -43,6 +43,14 @@ class Witnesses {
   double sum_ = 0.0;
 };
 
+bool FurtherApart(const Eigen::Isometry3d& T_a,
+                  const Eigen::Isometry3d& T_b,
+                  double rotation_rad,
+                  double distance_m) {
+  const Vector6d difference = LogSE3(T_a.inverse() * T_b);
+  return difference.head<3>().norm() > rotation_rad || difference.tail<3>().norm() > distance_m;
+}
+
 }  // namespace
 
 void RigSelectionOptions::Check() const {
@@ -89,12 +97,16 @@ SolutionScore ScoreSolution(const RigPairs& rigs,
   return score;
 }
 
+bool AreEqual(const Eigen::Isometry3d& T_a,
+              const Eigen::Isometry3d& T_b,
+              const RigSelectionOptions& options) {
+  return !FurtherApart(T_a, T_b, 0.1 * options.min_distinct_rad, 0.1 * options.min_distinct_m);
+}
+
 bool AreDistinct(const Eigen::Isometry3d& T_a,
                  const Eigen::Isometry3d& T_b,
                  const RigSelectionOptions& options) {
-  const Vector6d difference = LogSE3(T_a.inverse() * T_b);
-  return difference.head<3>().norm() > options.min_distinct_rad ||
-         difference.tail<3>().norm() > options.min_distinct_m;
+  return FurtherApart(T_a, T_b, options.min_distinct_rad, options.min_distinct_m);
 }
 
 double Significance(const RigPairs& rigs,

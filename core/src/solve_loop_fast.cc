@@ -78,17 +78,27 @@ double DepthSigma_px(const Problem& problem, const RigRefinementOptions& options
   return sigma_px;
 }
 
-// Again from where a solution is, over all matches that it explains now.
-Solution RefineFurther(const Problem& problem,
-                       const Solution& solution,
-                       int max_num_iterations,
-                       const FastLoopOptions& options) {
-  RefinedRig cand = problem.cand;
-  RefinedRig query = problem.query;
-  cand.T_rig_cam = solution.refinement.T_cand_cam;
-  query.T_rig_cam = solution.refinement.T_query_cam;
-  return Refine(problem, cand, query, solution.score.inliers, solution.refinement.T_cand_query,
-                max_num_iterations, options.refinement.sigma_px, options);
+// To the end, each time over all matches that the last refinement explains, until these are no more
+// than before: rigs that are still as odometry has them explain but a part.
+Solution RefineToTheEnd(const Problem& problem, Solution solution, const FastLoopOptions& options) {
+  for (int round = 0; round < options.max_num_rounds; ++round) {
+    const int num_inliers = solution.score.num_inliers;
+    RefinedRig cand = problem.cand;
+    RefinedRig query = problem.query;
+    cand.T_rig_cam = solution.refinement.T_cand_cam;
+    query.T_rig_cam = solution.refinement.T_query_cam;
+    solution =
+        Refine(problem, cand, query, solution.score.inliers, solution.refinement.T_cand_query,
+               options.refinement.max_num_iterations, options.refinement.sigma_px, options);
+    if (solution.score.num_inliers <= num_inliers) break;
+  }
+  return solution;
+}
+
+void SortByCost(std::vector<Solution>& solutions) {
+  std::stable_sort(solutions.begin(), solutions.end(), [](const Solution& a, const Solution& b) {
+    return a.score.cost < b.score.cost;
+  });
 }
 
 // The refined hypotheses, the best one first.
@@ -104,9 +114,7 @@ std::vector<Solution> RefineHypotheses(const Problem& problem,
                                hypothesis.T_cand_query, options.max_num_trial_iterations,
                                depth_sigma_px, options));
   }
-  std::stable_sort(solutions.begin(), solutions.end(), [](const Solution& a, const Solution& b) {
-    return a.score.cost < b.score.cost;
-  });
+  SortByCost(solutions);
   return solutions;
 }
 
@@ -114,31 +122,44 @@ LoopSolution Report(const Solution& solution) {
   return {solution.refinement.T_cand_query, solution.score.num_inliers, solution.score.cost};
 }
 
-// Whether a distinct solution is nearly as good. One that might be is refined to the end first: it
-// may be on its way to the same optimum.
+// The best of the trial solutions and those that it is not clearly ahead of, refined to the end,
+// the best one first: a trial may rank two optima wrongly, or be on its way to the same one.
+std::vector<Solution> RefineContenders(const Problem& problem,
+                                       const std::vector<Solution>& trials,
+                                       const FastLoopOptions& options) {
+  std::vector<Solution> contenders;
+  for (const Solution& trial : trials) {
+    const bool clearly_behind =
+        Significance(problem.matched.rigs, trials[0].score, trial.score, options.selection) >=
+        options.selection.min_significance;
+    const bool known = std::any_of(
+        contenders.begin(), contenders.end(), [&trial, &options](const Solution& contender) {
+          return AreEqual(contender.refinement.T_cand_query, trial.refinement.T_cand_query,
+                          options.selection);
+        });
+    if (clearly_behind || known) continue;
+    contenders.push_back(RefineToTheEnd(problem, trial, options));
+  }
+  SortByCost(contenders);
+  return contenders;
+}
+
+// Whether a distinct solution is nearly as good.
 std::optional<LoopRejection> CheckUnambiguous(const Problem& problem,
-                                              std::vector<Solution>& solutions,
+                                              const std::vector<Solution>& contenders,
                                               const FastLoopOptions& options) {
-  const Solution& best = solutions[0];
-  const auto rivals = [&](const Solution& other) {
-    return AreDistinct(best.refinement.T_cand_query, other.refinement.T_cand_query,
-                       options.selection);
-  };
-  const auto significance = [&](const Solution& other) {
-    return Significance(problem.matched.rigs, best.score, other.score, options.selection);
-  };
-  for (size_t k = 1; k < solutions.size(); ++k) {
-    if (!rivals(solutions[k]) || significance(solutions[k]) >= options.selection.min_significance) {
+  const Solution& best = contenders[0];
+  for (const Solution& other : contenders) {
+    if (!AreDistinct(best.refinement.T_cand_query, other.refinement.T_cand_query,
+                     options.selection)) {
       continue;
     }
-    solutions[k] =
-        RefineFurther(problem, solutions[k], options.refinement.max_num_iterations, options);
-    const double ahead = significance(solutions[k]);
-    if (rivals(solutions[k]) && ahead < options.selection.min_significance) {
-      LoopRejection rejection{"ambiguous", std::nullopt, ahead, options.selection.min_significance};
-      rejection.solutions = {Report(best), Report(solutions[k])};
-      return rejection;
-    }
+    const double ahead =
+        Significance(problem.matched.rigs, best.score, other.score, options.selection);
+    if (ahead >= options.selection.min_significance) continue;
+    LoopRejection rejection{"ambiguous", std::nullopt, ahead, options.selection.min_significance};
+    rejection.solutions = {Report(best), Report(other)};
+    return rejection;
   }
   return std::nullopt;
 }
@@ -181,13 +202,12 @@ LoopEstimate MakeEstimate(const Problem& problem,
 
 LoopResult Estimate(const Problem& problem, const FastLoopOptions& options) {
   const double min_num_inliers = static_cast<double>(options.min_num_inliers);
-  std::vector<Solution> solutions = RefineHypotheses(
-      problem, EstimateRigHypotheses(problem.matched.rigs, options.hypotheses, options.seed),
+  const std::vector<Solution> solutions = RefineContenders(
+      problem,
+      RefineHypotheses(
+          problem, EstimateRigHypotheses(problem.matched.rigs, options.hypotheses, options.seed),
+          options),
       options);
-  if (!solutions.empty()) {
-    solutions[0] =
-        RefineFurther(problem, solutions[0], options.refinement.max_num_iterations, options);
-  }
   const int num_inliers = solutions.empty() ? 0 : solutions[0].score.num_inliers;
   if (num_inliers < options.min_num_inliers || solutions.empty()) {
     return LoopRejection{"rig_inliers", std::nullopt, static_cast<double>(num_inliers),
@@ -210,7 +230,8 @@ void FastLoopOptions::Check() const {
   depth.Check();
   selection.Check();
   covariance.Check();
-  if (max_num_refined < 1 || max_num_trial_iterations < 0 || min_num_inliers < 0) {
+  if (max_num_refined < 1 || max_num_trial_iterations < 0 || max_num_rounds < 1 ||
+      min_num_inliers < 0) {
     throw std::invalid_argument("FastLoopOptions: numbers must not be negative");
   }
   if (!(min_inlier_share >= 0.0 && min_inlier_share <= 1.0)) {

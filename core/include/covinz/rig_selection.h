@@ -50,6 +50,12 @@ SolutionScore ScoreSolution(const RigPairs& rigs,
                             const RigRefinementOptions& refinement_options,
                             const RigSelectionOptions& options);
 
+// Two refinements that ended, or are about to end, in one optimum: within a tenth of what makes
+// solutions distinct.
+bool AreEqual(const Eigen::Isometry3d& T_a,
+              const Eigen::Isometry3d& T_b,
+              const RigSelectionOptions& options);
+
 bool AreDistinct(const Eigen::Isometry3d& T_a,
                  const Eigen::Isometry3d& T_b,
                  const RigSelectionOptions& options);

@@ -36,8 +36,11 @@ struct FastLoopOptions {
   // ... that have this part of the inliers of the best one at least: a second solution that could
   // be taken for the best shares more than 90 % of its inliers. [real images research]
   double min_inlier_share = 0.5;
-  // Iterations of their first refinement; the best one is then refined to the end.
+  // Iterations of their first refinement. The best one, and those that it is not clearly ahead of, are
+  // then refined to the end ...
   int max_num_trial_iterations = 4;
+  // ... over the matches that they explain, chosen anew at most so often.
+  int max_num_rounds = 3;
   // Matches that the solution must explain in all; there is no least number a pair. [paper III-B2]
   int min_num_inliers = 100;
   // Two cameras of one rig must be further apart than this [m], or there is no scale.
