@@ -25,6 +25,7 @@ constexpr int kNumApproachMatches = 300;
 // distance within which hypotheses are the same.
 constexpr double kNear = 0.5;
 // Where the best optimum is left, in units of that distance.
+constexpr int kMaxRounds = 3;
 constexpr double kLeaps[] = {-6.0, -3.0, 3.0, 6.0};
 
 int NumIntersecting(const std::vector<int>& a, const std::vector<int>& b) {
@@ -105,8 +106,17 @@ void HypothesisPool::OptimizeProposals() {
   }
 }
 
+// Again from the new best optimum where that led to one.
 void HypothesisPool::LeaveBest() {
-  const Eigen::Isometry3d T = optima_[best_optimum_].T_cand_query;
+  for (int round = 0; round < kMaxRounds; ++round) {
+    const size_t left = best_optimum_;
+    LeaveOptimum(left);
+    if (best_optimum_ == left) return;
+  }
+}
+
+void HypothesisPool::LeaveOptimum(size_t optimum) {
+  const Eigen::Isometry3d T = optima_[optimum].T_cand_query;
   const SampsonSystem system = sampson_.Linearize(T, kWidths[2] * options_.max_error_px);
   const Vector6d direction = LeastDetermined(system.JtJ);
   if (!direction.allFinite()) return;

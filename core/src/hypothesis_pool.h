@@ -36,6 +36,7 @@ class HypothesisPool {
 
   void OptimizeProposals();
   void LeaveBest();
+  void LeaveOptimum(size_t optimum);
   bool Optimize(const Eigen::Isometry3d& T_start);
   bool IsOptimum(const Eigen::Isometry3d& T_cand_query) const;
   Pose Converged(const Pose& pose) const;
