@@ -72,7 +72,7 @@ core-sanitize: setup
 	cmake --build core/build/sanitize -j $(JOBS)
 	ctest --test-dir core/build/sanitize --output-on-failure -j $(JOBS)
 
-BENCHMARKS := scenarios demo map_floor loop_geometry place_recognition map_from_scratch cauchy_scale
+BENCHMARKS := scenarios demo map_floor loop_geometry matching place_recognition map_from_scratch cauchy_scale
 
 bench: setup
 	@mkdir -p benchmarks/results

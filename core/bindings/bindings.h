@@ -5,7 +5,9 @@
 
 namespace covinz {
 
+void BindFastLoop(nanobind::module_& m);
 void BindLoopGeometry(nanobind::module_& m);
+void BindMatching(nanobind::module_& m);  // after BindLoopGeometry, whose MatchingOptions it takes
 void BindPlaceRecognition(nanobind::module_& m);
 void BindPoseGraph(nanobind::module_& m);
 

@@ -8,6 +8,8 @@ NB_MODULE(_core, m) {
   // A machine's cores go to as many worker processes; OpenCV would start threads in each of them.
   cv::setNumThreads(1);
   covinz::BindLoopGeometry(m);
+  covinz::BindMatching(m);
+  covinz::BindFastLoop(m);
   covinz::BindPlaceRecognition(m);
   covinz::BindPoseGraph(m);
 }

@@ -138,14 +138,28 @@ void BindLoopResult(nb::module_& m) {
       .def_ro("num_matches", &LoopEstimate::num_matches, "A camera pair, query outermost.")
       .def_ro("num_pair_inliers", &LoopEstimate::num_pair_inliers,
               "Five-point inliers a camera pair, query outermost.")
-      .def_ro("num_iterations", &LoopEstimate::num_iterations, "Of the 17-point RANSAC.");
+      .def_ro("num_iterations", &LoopEstimate::num_iterations, "Of the 17-point RANSAC.")
+      .def_ro("motion_residuals", &LoopEstimate::motion_residuals,
+              "Of the fast profile: per motion of the candidate's rig, then of the query's, (6,),\n"
+              "odometry's residuals in its standard deviations.")
+      .def_ro("independent_px", &LoopEstimate::independent_px, "Noise of a keypoint's own.")
+      .def_ro("shared_px", &LoopEstimate::shared_px, "Noise that neighbouring keypoints share.");
+  nb::class_<LoopSolution>(m, "LoopSolution", "One of several solutions that are alike.")
+      .def_prop_ro(
+          "T_cand_query",
+          [](const LoopSolution& self) { return Eigen::Matrix4d(self.T_cand_query.matrix()); },
+          "(4, 4): query body in the candidate's body frame.")
+      .def_ro("num_inliers", &LoopSolution::num_inliers)
+      .def_ro("cost", &LoopSolution::cost, "-2 log likelihood.");
   nb::class_<LoopRejection>(m, "LoopRejection", "Why there is no loop.")
       .def_ro("stage", &LoopRejection::stage,
-              "degenerate, matches, pair_inliers, rig_inliers, scale, covariance, uncertainty,\n"
-              "translation or rotation; core/include/covinz/solve_loop.h says what is counted.")
+              "degenerate, matches, pair_inliers, rig_inliers, scale, covariance, ambiguous,\n"
+              "uncertainty, translation or rotation; core/include/covinz/solve_loop.h says what is "
+              "counted.")
       .def_ro("pair", &LoopRejection::pair, "Camera pair, query outermost, where one failed.")
       .def_ro("count", &LoopRejection::count)
       .def_ro("threshold", &LoopRejection::threshold)
+      .def_ro("solutions", &LoopRejection::solutions, "Of ambiguous: the best two.")
       .def("__repr__", [](const LoopRejection& self) {
         return "LoopRejection(" + self.stage + ": " + std::to_string(self.count) + " against " +
                std::to_string(self.threshold) + ")";

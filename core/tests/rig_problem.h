@@ -1,6 +1,7 @@
 // Generated loop problems with ground truth: two rigs that look at the same points.
 #pragma once
 
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -49,6 +50,8 @@ struct RigProblemOptions {
   double min_depth_m = 2.0;
   double max_depth_m = 6.0;
   uint64_t seed = 0;
+  // Instead of a random one; everything else stays as the seed has it.
+  std::optional<Eigen::Isometry3d> T_cand_query = std::nullopt;
 };
 
 struct RigProblem {
@@ -120,6 +123,7 @@ inline RigProblem MakeRigProblem(const RigProblemOptions& options) {
   std::mt19937_64 engine(options.seed);
   RigProblem problem;
   problem.T_cand_query = RandomPose(engine, options.loop_turn_rad, options.loop_distance_m);
+  if (options.T_cand_query) problem.T_cand_query = *options.T_cand_query;
   const std::vector<Eigen::Isometry3d> query_rig = MakeRig(options.num_query_cams, options, engine);
   const std::vector<Eigen::Isometry3d> cand_rig = MakeRig(options.num_cand_cams, options, engine);
   std::uniform_real_distribution<double> u(-0.64, 0.64), v(-0.48, 0.48),

@@ -72,6 +72,20 @@ struct LoopEstimate {
   std::vector<int> num_matches;
   std::vector<int> num_pair_inliers;
   int num_iterations;  // of the 17-point RANSAC
+  // Of the fast profile: for each motion of the candidate's rig, then of the query's, how the
+  // motion found differs from odometry's, in standard deviations of the latter.
+  std::vector<Vector6d> motion_residuals = {};
+  // Of the fast profile: standard deviation of a keypoint [px], the part of its own and the part
+  // that it shares with its neighbours.
+  double independent_px = 0.0;
+  double shared_px = 0.0;
+};
+
+// One of several solutions that explain the matches alike.
+struct LoopSolution {
+  Eigen::Isometry3d T_cand_query;
+  int num_inliers;
+  double cost;  // -2 log likelihood
 };
 
 // Why there is no loop: count < threshold, or > threshold for the stages that limit from above.
@@ -82,7 +96,10 @@ struct LoopRejection {
   // "rig_inliers"   17-point inliers < min_num_rig_inliers
   // "scale"         part of them that needs no baseline > scale.max_common_centre_ratio
   // "covariance"    good samples < covariance.num_samples
-  // "uncertainty"   trace of the covariance > max_covariance_trace
+  // "ambiguous"     significance of the best solution against a distinct one [sigmas]
+  //                 < selection.min_significance; the fast profile's
+  // "uncertainty"   trace of the covariance > max_covariance_trace; in the fast profile, predicted
+  //                 sigma of the translation [m] > max_sigma_translation_m
   // "translation"   metres > max_translation_m
   // "rotation"      radians > max_rotation_rad
   std::string stage;
@@ -90,6 +107,8 @@ struct LoopRejection {
   std::optional<int> pair;
   double count;
   double threshold;
+  // Of "ambiguous": the best solution, and the one that is nearly as good.
+  std::vector<LoopSolution> solutions = {};
 };
 
 using LoopResult = std::variant<LoopEstimate, LoopRejection>;

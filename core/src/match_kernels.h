@@ -1,0 +1,60 @@
+// The inner loops of MatchPacked, one version per instruction set.
+//
+// Each match_kernels_*.cc but the portable one is compiled with flags of its own (CMakeLists.txt).
+// So that none of its code is run by mistake on other processors, it defines nothing that the
+// linker could share: it includes no library headers with inline functions, nor Eigen, and takes
+// plain pointers.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace covinz {
+
+// Largest key; no distance.
+inline constexpr int32_t kNoKey = INT32_MAX;
+inline constexpr size_t kMaxTileRows = 8;
+
+// PackedDescriptors as the kernels read them.
+struct PackedView {
+  const uint32_t* groups;
+  const uint32_t* sums;
+  const uint32_t* squared_norms;
+  size_t num_groups;
+  size_t size;
+};
+
+// A few query rows against a run of candidates. A key is a distance (squared for L2), shifted left
+// by key_shift, plus an index below 2^key_shift: the least key is the nearest and the first of
+// equals.
+struct MatchTile {
+  PackedView query;
+  PackedView cand;
+  size_t first_row;
+  size_t num_rows;      // at most kMaxTileRows
+  size_t first_vector;  // a vector is as many candidates as the kernel has lanes
+  size_t num_vectors;   // the last may go beyond the candidates
+  int key_shift;
+  int32_t first_row_index;  // index of first_row in column_keys
+  // Least key of each candidate so far, its index the query row; updated.
+  int32_t* column_keys;
+  // Least and second least key of each row and lane, its index the vector, 0 for first_vector;
+  // row by row, written.
+  int32_t* best;
+  int32_t* second;
+};
+
+struct MatchKernels {
+  size_t num_lanes;
+  void (*hamming)(const MatchTile&);
+  void (*l2)(const MatchTile&);
+};
+
+// Without kernels (num_lanes 0) where the build's processor family has no such instruction set.
+extern const MatchKernels kPortableMatchKernels;
+extern const MatchKernels kNeonMatchKernels;
+extern const MatchKernels kSse42MatchKernels;
+extern const MatchKernels kAvx2MatchKernels;
+extern const MatchKernels kAvx512MatchKernels;
+
+}  // namespace covinz

@@ -1,0 +1,300 @@
+// Variance components of keypoint errors and the covariance that follows from them.
+#include "covinz/rig_covariance.h"
+
+#include <algorithm>
+#include <climits>
+#include <cmath>
+#include <stdexcept>
+#include <tuple>
+#include <vector>
+
+#include <Eigen/Cholesky>
+
+#include "rig_adjustment.h"
+
+namespace covinz {
+namespace {
+
+// E[w s] / E[s] of a normal error in two dimensions, s its square and w the weight of Cauchy's
+// loss: with x = loss^2 / 2 this is x (1 - x exp(x) E1(x)). Weighted residuals are that much too
+// small.
+double WeightedVariance(double loss2) {
+  const double x = 0.5 * loss2;
+  // 1 / (exp(x) E1(x)) by its continued fraction, Abramowitz and Stegun 5.1.22.
+  double fraction = x;
+  for (int k = 60; k > 0; --k) fraction = x + k / (1.0 + k / fraction);
+  return x * (1.0 - x / fraction);
+}
+
+struct Cell {
+  int camera;
+  int across;  // position in the image as two angles
+  int down;
+
+  bool operator<(const Cell& o) const {
+    return std::tie(camera, across, down) < std::tie(o.camera, o.across, o.down);
+  }
+  bool operator==(const Cell& o) const { return !(*this < o) && !(o < *this); }
+};
+
+Cell CellOf(const BearingMeasurement& measured, double cell_rad) {
+  const Eigen::Vector3d& z = measured.bearing;
+  const double across = std::atan2(z.x(), z.z());
+  const double down = std::atan2(z.y(), std::hypot(z.x(), z.z()));
+  return {measured.camera, static_cast<int>(std::floor(across / cell_rad)),
+          static_cast<int>(std::floor(down / cell_rad))};
+}
+
+// The cells that have keypoints, by camera. The errors of the cells of one camera, x of all and
+// then y of all, make a block, so that Q is block-diagonal.
+class Cells {
+ public:
+  Cells(const RigAdjustment& problem, double cell_rad) {
+    std::vector<Cell> of_observation;
+    for (const BearingMeasurement& measured : problem.observations) {
+      of_observation.push_back(CellOf(measured, cell_rad));
+    }
+    cells_ = of_observation;
+    std::sort(cells_.begin(), cells_.end());
+    cells_.erase(std::unique(cells_.begin(), cells_.end()), cells_.end());
+    for (int c = 0; c <= problem.num_cameras; ++c) {
+      begins_.push_back(std::lower_bound(cells_.begin(), cells_.end(), Cell{c, INT_MIN, INT_MIN}) -
+                        cells_.begin());
+    }
+    for (const Cell& cell : of_observation) {
+      const Eigen::Index n = std::lower_bound(cells_.begin(), cells_.end(), cell) - cells_.begin();
+      const Eigen::Index begin = begins_[static_cast<size_t>(cell.camera)];
+      x_errors_.push_back(begin + n);
+      y_errors_.push_back(n + begins_[static_cast<size_t>(cell.camera) + 1]);
+    }
+  }
+
+  Eigen::Index NumErrors() const { return 2 * static_cast<Eigen::Index>(cells_.size()); }
+
+  // Positions of the errors of the cell of an observation.
+  Eigen::Index XError(size_t observation) const { return x_errors_[observation]; }
+  Eigen::Index YError(size_t observation) const { return y_errors_[observation]; }
+
+  // A Q.
+  Eigen::MatrixXd TimesCorrelation(const Eigen::MatrixXd& A,
+                                   const RefinementCovarianceOptions& options) const {
+    Eigen::MatrixXd product(A.rows(), A.cols());
+    for (size_t c = 0; c + 1 < begins_.size(); ++c) {
+      const Eigen::Index n = begins_[c + 1] - begins_[c];
+      const Eigen::MatrixXd Q = Correlation(begins_[c], n, options);
+      for (const Eigen::Index first : {2 * begins_[c], 2 * begins_[c] + n}) {
+        product.middleCols(first, n).noalias() = A.middleCols(first, n) * Q;
+      }
+    }
+    return product;
+  }
+
+ private:
+  // Between n cells of one camera, from the given one on.
+  Eigen::MatrixXd Correlation(Eigen::Index begin,
+                              Eigen::Index n,
+                              const RefinementCovarianceOptions& options) const {
+    Eigen::MatrixXd Q(n, n);
+    for (Eigen::Index i = 0; i < n; ++i) {
+      for (Eigen::Index j = 0; j <= i; ++j) {
+        const Cell& a = cells_[static_cast<size_t>(begin + i)];
+        const Cell& b = cells_[static_cast<size_t>(begin + j)];
+        const double distance = options.cell_rad * std::hypot(a.across - b.across, a.down - b.down);
+        double sum = 0.0;
+        for (int octave = 0; octave < options.num_octaves; ++octave) {
+          const double length = std::ldexp(options.min_length_rad, octave);
+          sum += std::exp(-0.5 * distance * distance / (length * length));
+        }
+        Q(i, j) = Q(j, i) = sum / options.num_octaves;
+      }
+    }
+    return Q;
+  }
+
+  std::vector<Cell> cells_;
+  std::vector<Eigen::Index> begins_;  // first cell of each camera, and one past the last
+  std::vector<Eigen::Index> x_errors_;
+  std::vector<Eigen::Index> y_errors_;
+};
+
+// An observation of the track at hand, all by the root of its weight.
+struct Row {
+  Eigen::Matrix<double, 2, 6> J_cam;
+  Eigen::Matrix<double, 2, 3> J_point;
+  Eigen::Vector2d error;
+  double root_weight;
+  Eigen::Index camera;  // its first unknown, negative for camera 0
+  Eigen::Index x;       // its cell's errors
+  Eigen::Index y;
+};
+
+void FillRows(const RigAdjustment& problem,
+              const RigAdjustmentState& state,
+              const Cells& cells,
+              size_t track,
+              std::vector<Row>& rows) {
+  const InverseDistancePoint& point = state.points[track];
+  const Eigen::Matrix<double, 2, 3> basis = TangentBasis(point.direction);
+  rows.clear();
+  for (int i = problem.begins[track]; i < problem.begins[track + 1]; ++i) {
+    const size_t n = static_cast<size_t>(i);
+    const BearingMeasurement& measured = problem.observations[n];
+    const BearingResidual residual = EvaluateBearing(
+        measured, point, basis, state.T_world_cam[static_cast<size_t>(measured.camera)]);
+    const double root = std::sqrt(
+        KeypointLoss(problem, measured, residual.error.squaredNorm(), residual.in_front).weight);
+    rows.push_back({root * residual.J_cam, root * residual.J_point, root * residual.error, root,
+                    6 * (static_cast<Eigen::Index>(measured.camera) - 1), cells.XError(n),
+                    cells.YError(n)});
+  }
+}
+
+// What the variance components are made of; first with M as the points leave it.
+struct CellSums {
+  Eigen::MatrixXd coupling;  // A: camera unknowns x cell errors
+  Eigen::MatrixXd kernel;    // K
+  Eigen::VectorXd residual;  // C^T e
+  double residual2 = 0.0;    // e^T e
+  double dof = 0.0;          // tr(M)
+};
+
+void AddTrack(const std::vector<Row>& rows, Eigen::Matrix3d information, CellSums& sums) {
+  for (const Row& row : rows) information.noalias() += row.J_point.transpose() * row.J_point;
+  const Eigen::Matrix3d inverse = information.inverse();
+  for (const Row& a : rows) {
+    const Eigen::Matrix<double, 2, 3> gain = a.J_point * inverse;
+    sums.residual2 += a.error.squaredNorm();
+    sums.residual(a.x) += a.root_weight * a.error.x();
+    sums.residual(a.y) += a.root_weight * a.error.y();
+    for (const Row& b : rows) {
+      // Row a, column b of M: what an error of b leaves in the residual of a.
+      Eigen::Matrix2d left = -gain * b.J_point.transpose();
+      if (&a == &b) {
+        left += Eigen::Matrix2d::Identity();
+        sums.dof += left.trace();
+      }
+      left *= b.root_weight;
+      if (a.camera >= 0) {
+        const Eigen::Matrix<double, 6, 2> coupling = a.J_cam.transpose() * left;
+        sums.coupling.block<6, 1>(a.camera, b.x) += coupling.col(0);
+        sums.coupling.block<6, 1>(a.camera, b.y) += coupling.col(1);
+      }
+      sums.kernel(a.x, b.x) += a.root_weight * left(0, 0);
+      sums.kernel(a.y, b.x) += a.root_weight * left(1, 0);
+      sums.kernel(a.x, b.y) += a.root_weight * left(0, 1);
+      sums.kernel(a.y, b.y) += a.root_weight * left(1, 1);
+    }
+  }
+}
+
+CellSums SumCells(const RigAdjustment& problem,
+                  const RigAdjustmentState& state,
+                  const Cells& cells) {
+  CellSums sums;
+  sums.coupling = Eigen::MatrixXd::Zero(problem.NumCameraUnknowns(), cells.NumErrors());
+  sums.kernel = Eigen::MatrixXd::Zero(cells.NumErrors(), cells.NumErrors());
+  sums.residual = Eigen::VectorXd::Zero(cells.NumErrors());
+  std::vector<Row> rows;
+  for (size_t t = 0; t < problem.NumTracks(); ++t) {
+    FillRows(problem, state, cells, t, rows);
+    AddTrack(rows, problem.PointInformation(), sums);
+  }
+  return sums;
+}
+
+// i^2 and s^2.
+struct VarianceComponents {
+  double independent;
+  double shared;
+};
+
+VarianceComponents EstimateComponents(const CellSums& sums,
+                                      const Cells& cells,
+                                      double weighted_variance,
+                                      double min_independent,
+                                      const RefinementCovarianceOptions& options) {
+  const Eigen::MatrixXd KQ = cells.TimesCorrelation(sums.kernel, options);
+  const double tr_KQ = KQ.trace();
+  const double tr_KQKQ = KQ.cwiseProduct(KQ.transpose()).sum();
+  const Eigen::MatrixXd sums_Q = cells.TimesCorrelation(sums.residual.transpose(), options);
+  const double square = sums.residual2 / weighted_variance;
+  const double cells_square = (sums_Q * sums.residual)(0) / weighted_variance;
+  const double determinant = sums.dof * tr_KQKQ - tr_KQ * tr_KQ;
+  VarianceComponents result{min_independent, 0.0};
+  if (!(sums.dof > 0.0 && determinant > 0.0)) return result;
+  result.shared = std::max(0.0, (sums.dof * cells_square - tr_KQ * square) / determinant);
+  result.independent = std::max(min_independent, (square - result.shared * tr_KQ) / sums.dof);
+  return result;
+}
+
+// What is known before the images: the motions and, so that nothing is singular, the pose of the
+// query's first camera (first unknown q) to 100 m.
+Eigen::MatrixXd PriorHessian(RigAdjustment problem,
+                             const RigAdjustmentState& state,
+                             Eigen::Index q) {
+  problem.observations.clear();
+  problem.begins = {0};
+  ReducedSystem system;
+  Linearize(problem, state, 0.0, system);
+  system.hessian.diagonal().segment<6>(q).array() += 1e-4;
+  return system.hessian;
+}
+
+}  // namespace
+
+void RefinementCovarianceOptions::Check() const {
+  if (!(cell_rad > 0.0 && min_length_rad > 0.0 && min_independent_px > 0.0)) {
+    throw std::invalid_argument("RefinementCovarianceOptions: lengths and errors must be positive");
+  }
+  if (num_octaves < 1) {
+    throw std::invalid_argument("RefinementCovarianceOptions.num_octaves must be at least 1");
+  }
+}
+
+RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
+                                                  const RefinedRig& query,
+                                                  const RigTracks& tracks,
+                                                  const RigRefinement& refinement,
+                                                  const RigRefinementOptions& refinement_options,
+                                                  const RefinementCovarianceOptions& options) {
+  refinement_options.Check();
+  options.Check();
+  cand.Check();
+  query.Check();
+  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, refinement_options);
+  const RigAdjustmentState state{
+      CamerasInWorld(refinement.T_cand_cam, refinement.T_query_cam, refinement.T_cand_query),
+      refinement.points};
+  ReducedSystem system;
+  Linearize(problem, state, 0.0, system);
+  // The query's first camera, whose covariance is wanted.
+  const Eigen::Index q = 6 * (static_cast<Eigen::Index>(cand.T_rig_cam.size()) - 1);
+  const Eigen::Index n = problem.NumCameraUnknowns();
+  const Eigen::MatrixXd H_prior = PriorHessian(problem, state, q);
+  system.hessian.diagonal().segment<6>(q).array() += 1e-4;
+  const Eigen::MatrixXd H_keypoints = system.hessian - H_prior;
+  const Eigen::MatrixXd inverse = system.hessian.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
+
+  const Cells cells(problem, options.cell_rad);
+  CellSums sums = SumCells(problem, state, cells);
+  // The cameras take their share of the errors as well.
+  const Eigen::MatrixXd influence = inverse * sums.coupling;
+  sums.kernel.noalias() -= sums.coupling.transpose() * influence;
+  sums.dof -= inverse.cwiseProduct(H_keypoints).sum();
+  const double min_sigma = options.min_independent_px / refinement_options.sigma_px;
+  const VarianceComponents variance = EstimateComponents(
+      sums, cells, WeightedVariance(problem.keypoint_loss2), min_sigma * min_sigma, options);
+
+  const auto rows = inverse.middleRows<6>(q);
+  const Eigen::MatrixXd cells_rows = influence.middleRows<6>(q);
+  const Matrix6d camera =
+      rows * (H_prior + variance.independent * H_keypoints) * rows.transpose() +
+      variance.shared * cells.TimesCorrelation(cells_rows, options) * cells_rows.transpose();
+  const Matrix6d Ad = AdjointSE3(query.T_rig_cam[0]);
+  const Matrix6d covariance = Ad * camera * Ad.transpose();
+  return {0.5 * (covariance + covariance.transpose()),
+          std::sqrt(variance.independent) * refinement_options.sigma_px,
+          std::sqrt(variance.shared) * refinement_options.sigma_px};
+}
+
+}  // namespace covinz
