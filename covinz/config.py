@@ -130,10 +130,53 @@ class MatchingConfig(Section):
     mutual: bool = True
 
 
-class LoopSolverConfig(Section):
-    """Verification of one candidate, profile `paper`. Part of the identity of a job."""
+class OdometryNoise(Section):
+    """Expected accuracy of a front-end as random-walk sigmas; source: paper III-C."""
 
-    profile: Literal["paper"] = "paper"
+    # Rotation per square root of metre travelled. [rad / sqrt(m)]
+    rotation_per_sqrt_m: NonNegative = 0.01
+    # Rotation per square root of radian turned. [rad / sqrt(rad)]
+    rotation_per_sqrt_rad: NonNegative = 0.02
+    # Translation per square root of metre travelled. [m / sqrt(m)]
+    translation_per_sqrt_m: NonNegative = 0.03
+    # Translation per square root of radian turned. [m / sqrt(rad)]
+    translation_per_sqrt_rad: NonNegative = 0.03
+    # Floor of every odometry edge: rotation. [rad]
+    min_rotation: Positive = 0.002
+    # Floor of every odometry edge: translation. [m]
+    min_translation: Positive = 0.003
+
+
+class FastLoopConfig(Section):
+    """What only profile `fast` has; the meaning of each is in core/include/covinz."""
+
+    # A match is an inlier of a hypothesis up to this Sampson error. [px; rig_hypotheses.h]
+    max_error_px: Positive = 3.0
+    # Probability of having found the best hypothesis; high, since a second one is to be found too.
+    confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
+    # Samples of the joint estimation.
+    max_iterations: PositiveInt = 1000
+    # Hypotheses that are refined. [real images research: five]
+    max_refined: PositiveInt = 5
+    # The best solution wins against a distinct one with so many standard deviations, or the loop
+    # is ambiguous. [rig_selection.h]
+    min_significance: Positive = 3.0
+    # Largest predicted standard deviation of the translation. [m; geometry research: 0.3]
+    max_sigma_translation_m: Positive = 0.3
+    # Accuracy of the motions inside the rigs where a robot sends no covariance.
+    odometry: OdometryNoise = OdometryNoise()
+
+
+class LoopSolverConfig(Section):
+    """Verification of one candidate. Part of the identity of a job.
+
+    `fast` reads its own section and, of the rest, matching, min_rig_inliers, min_baseline_m and the
+    limits on the pose.
+    """
+
+    # COVINS-G as written, or joint estimation and refinement. [decisions 0019 and 0020]
+    profile: Literal["paper", "fast"] = "paper"
+    fast: FastLoopConfig = FastLoopConfig()
     matching: MatchingConfig = MatchingConfig()
     # Matches in each of the six pairs: fewer cannot hold the inliers asked for next.
     min_pair_matches: PositiveInt = 30
@@ -179,23 +222,6 @@ class WorkerConfig(Section):
     min_backoff_s: Positive = 0.05
     # ... to this. [s]
     max_backoff_s: Positive = 2.0
-
-
-class OdometryNoise(Section):
-    """Expected accuracy of a front-end as random-walk sigmas; source: paper III-C."""
-
-    # Rotation per square root of metre travelled. [rad / sqrt(m)]
-    rotation_per_sqrt_m: NonNegative = 0.01
-    # Rotation per square root of radian turned. [rad / sqrt(rad)]
-    rotation_per_sqrt_rad: NonNegative = 0.02
-    # Translation per square root of metre travelled. [m / sqrt(m)]
-    translation_per_sqrt_m: NonNegative = 0.03
-    # Translation per square root of radian turned. [m / sqrt(rad)]
-    translation_per_sqrt_rad: NonNegative = 0.03
-    # Floor of every odometry edge: rotation. [rad]
-    min_rotation: Positive = 0.002
-    # Floor of every odometry edge: translation. [m]
-    min_translation: Positive = 0.003
 
 
 class OptimizerConfig(Section):

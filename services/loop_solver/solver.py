@@ -10,15 +10,20 @@ import time
 from collections.abc import Callable
 
 import covinz_core
+import numpy as np
 
+from covinz import frames
 from covinz.config import LoopSolverConfig
 from covinz.keyframes import CameraNotFound, KeyframeNotFound, KeyframeStore
 from covinz.types import LoopClosure, LoopJob, Outcome, Rejection
+from services.loop_solver.motions import rig_motions
 from services.loop_solver.rig import build_rig
+
+Result = covinz_core.LoopEstimate | covinz_core.LoopRejection
 
 
 class LoopSolver:
-    """Verifies candidates with the `paper` profile.
+    """Verifies candidates with the profile of the configuration.
 
     Args:
         config: Part of the identity of every job.
@@ -43,8 +48,7 @@ class LoopSolver:
             StoreUnavailable: If the keyframes cannot be had now; nothing is decided.
         """
         try:
-            query = build_rig(job.query_rig, self._store)
-            cand = build_rig(job.cand_rig, self._store)
+            verify = self._prepared(job)
         except KeyframeNotFound as error:
             return _rejection(job, "keyframe_missing", str(error))
         except CameraNotFound as error:
@@ -53,20 +57,30 @@ class LoopSolver:
             return _rejection(job, "error", str(error))
         start_s = self._clock_s()
         try:
-            result = covinz_core.solve_loop(query, cand, loop_options(self._config, job.seed))
+            result = verify()
         except (ValueError, RuntimeError) as error:
             # What a robot sent is no input for the core: final, and nobody else's problem.
             return _rejection(job, "error", str(error))
         return _outcome(job, result, 1e3 * (self._clock_s() - start_s))
 
+    def _prepared(self, job: LoopJob) -> Callable[[], Result]:
+        """Everything fetched: what is left is the numeric core's part."""
+        config, store = self._config, self._store
+        query, cand = build_rig(job.query_rig, store), build_rig(job.cand_rig, store)
+        if config.profile == "paper":
+            options = loop_options(config, job.seed)
+            return lambda: covinz_core.solve_loop(query, cand, options)
+        noise = config.fast.odometry
+        query_rig = covinz_core.LoopRig(query, rig_motions(job.query_rig, store, noise))
+        cand_rig = covinz_core.LoopRig(cand, rig_motions(job.cand_rig, store, noise))
+        fast_options = fast_loop_options(config, job.seed)
+        return lambda: covinz_core.solve_loop_fast(query_rig, cand_rig, fast_options)
+
 
 def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions:
-    """The core's options for one job."""
+    """The core's options for one job of profile `paper`."""
     options = covinz_core.LoopOptions()
-    options.matching.norm = covinz_core.DescriptorNorm.HAMMING
-    options.matching.max_ratio = config.matching.max_ratio
-    options.matching.max_distance = config.matching.max_hamming
-    options.matching.mutual = config.matching.mutual
+    _set_matching(options.matching, config)
     for stage in (options.pair, options.rig, options.scale):
         stage.max_error_px = config.max_error_px
     options.pair.confidence = options.rig.confidence = config.confidence
@@ -90,9 +104,35 @@ def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions
     return options
 
 
-def _outcome(
-    job: LoopJob, result: covinz_core.LoopEstimate | covinz_core.LoopRejection, solver_ms: float
-) -> Outcome:
+def fast_loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.FastLoopOptions:
+    """The core's options for one job of profile `fast`."""
+    fast = config.fast
+    options = covinz_core.FastLoopOptions()
+    _set_matching(options.matching, config)
+    options.hypotheses.max_error_px = fast.max_error_px
+    options.hypotheses.confidence = fast.confidence
+    options.hypotheses.max_num_iterations = fast.max_iterations
+    options.max_num_refined = fast.max_refined
+    options.selection.min_significance = fast.min_significance
+    options.max_sigma_translation_m = fast.max_sigma_translation_m
+    options.min_num_inliers = config.min_rig_inliers
+    options.min_baseline_m = config.min_baseline_m
+    if config.max_translation_m is not None:
+        options.max_translation_m = config.max_translation_m
+    if config.max_rotation_rad is not None:
+        options.max_rotation_rad = config.max_rotation_rad
+    options.seed = seed
+    return options
+
+
+def _set_matching(options: covinz_core.MatchingOptions, config: LoopSolverConfig) -> None:
+    options.norm = covinz_core.DescriptorNorm.HAMMING
+    options.max_ratio = config.matching.max_ratio
+    options.max_distance = config.matching.max_hamming
+    options.mutual = config.matching.mutual
+
+
+def _outcome(job: LoopJob, result: Result, solver_ms: float) -> Outcome:
     if isinstance(result, covinz_core.LoopRejection):
         return Rejection(
             job_id=job.id,
@@ -101,7 +141,7 @@ def _outcome(
             stage=result.stage,
             count=result.count,
             threshold=result.threshold,
-            detail=_pair_text(job, result.pair),
+            detail=_detail(job, result),
             solver_ms=solver_ms,
         )
     return LoopClosure(
@@ -116,12 +156,21 @@ def _outcome(
     )
 
 
-def _pair_text(job: LoopJob, pair: int | None) -> str:
-    """Names the camera pair at which a job failed; pairs count with the query outermost."""
-    if pair is None:
-        return ""
-    query, cand = divmod(pair, len(job.cand_rig))
-    return f"{job.query_rig[query].keyframe} with {job.cand_rig[cand].keyframe}"
+def _detail(job: LoopJob, rejection: covinz_core.LoopRejection) -> str:
+    """What a person wants to know besides the figures."""
+    if rejection.pair is not None:
+        # Pairs count with the query outermost.
+        query, cand = divmod(rejection.pair, len(job.cand_rig))
+        return f"{job.query_rig[query].keyframe} with {job.cand_rig[cand].keyframe}"
+    if len(rejection.solutions) == 2:
+        best, other = rejection.solutions
+        error = frames.local_error(best.T_cand_query, other.T_cand_query)
+        apart_m, turned_deg = np.linalg.norm(error[3:]), np.rad2deg(np.linalg.norm(error[:3]))
+        return (
+            f"two solutions {apart_m:.2f} m and {turned_deg:.1f} deg apart, "
+            f"with {best.num_inliers} and {other.num_inliers} inliers"
+        )
+    return ""
 
 
 def _rejection(job: LoopJob, stage: str, detail: str) -> Rejection:
