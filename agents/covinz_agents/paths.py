@@ -5,6 +5,9 @@ Body: x ahead, z up, as level as a robot that sways a little. World: z up, floor
 
 from __future__ import annotations
 
+import hashlib
+import sys
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,10 +16,13 @@ from covinz.config import ConfigError
 from covinz.scenario import FilePath, RenderedPath, SmoothPath, WaypointPath
 from covinz.trajectory import Trajectory, parse_stamp_ns, read_tum
 from covinz.types import Array
+from covinz_agents.array_cache import cached_array
+from covinz_agents.cache_folder import source_digest
 from covinz_agents.drift import seed_of
 from covinz_agents.wander import Clearance, NoFreePath, free_space, wander
 from covinz_agents.world.clearance import clearance_m
 from covinz_agents.world.geometry import World
+from covinz_agents.world_digest import digest_faces
 
 # Generated paths start at this time. [ns since the Unix epoch]
 START_NS = 1_700_000_000_000_000_000
@@ -75,9 +81,20 @@ def true_path(
         case WaypointPath():
             curve = _through(path)
         case SmoothPath():
-            rng = np.random.default_rng(seed_of("path", path.seed + seed, agent_id))
-            curve = smooth_curve(path, world, rng)
+            curve = _kept_curve(path, world, seed_of("path", path.seed + seed, agent_id))
     return _along(curve, path, frame_rate_hz)
+
+
+def _kept_curve(path: SmoothPath, world: World, seed: int) -> Array:
+    """The curve of a smooth path: it takes seconds to find, so it is kept between runs."""
+    modules = [sys.modules[f.__module__] for f in (smooth_curve, wander, clearance_m)]
+    key = hashlib.blake2b(f"{source_digest(modules)} {seed}\n".encode(), digest_size=16)
+    key.update(f"{path.length_m} {path.height_m} {path.min_depth_m}\n".encode())
+    key.update(f"{world.low_m.tolist()} {world.high_m.tolist()}\n".encode())
+    digest_faces(key, world)
+    rng = np.random.default_rng(seed)
+    found = cached_array("paths", key.hexdigest(), lambda: smooth_curve(path, world, rng))
+    return np.asarray(found, dtype=np.float64)
 
 
 def smooth_curve(path: SmoothPath, world: World, rng: np.random.Generator) -> Array:

@@ -22,6 +22,7 @@ from covinz_agents.world import renderer
 from covinz_agents.world.geometry import World
 from covinz_agents.world.renderer import Renderer
 from covinz_agents.world.sensor import expose
+from covinz_agents.world_digest import digest_faces
 
 # Raise it when images change for another reason than what is digested, e.g. in this module.
 _VERSION = 1
@@ -64,10 +65,7 @@ def visit(world: World, look: Look, camera: Camera, sensor: Sensor) -> Visit:
     digest = hashlib.blake2b(f"{_VERSION} {renderer_digest()} {world.outdoors}\n".encode())
     digest.update(f"{world.seed} {look.model_dump_json()} {sensor.model_dump_json()}\n".encode())
     digest.update(camera.hash.encode())
-    for face in world.faces:
-        digest.update(face.material.encode())
-        for side in (face.corner_m, face.u_m, face.v_m):
-            digest.update(side.astype("<f8").tobytes())
+    digest_faces(digest, world)
     return Visit(world, look, camera, sensor, digest.hexdigest()[:32])
 
 
