@@ -132,15 +132,18 @@ def local_error(T_ref: Array, T: Array) -> Array:
 
 
 def adjoint(T_a_b: Array) -> Array:
-    """(6, 6) that carries a small right perturbation [rotation, translation] from frame b to a.
+    """(..., 6, 6) that carries a right perturbation of a pose from frame b to frame a.
 
-    ``T_a_b @ Exp(xi) @ inv(T_a_b) = Exp(adjoint(T_a_b) @ xi)`` to first order. A
-    covariance follows as ``Ad @ covariance @ Ad.T``.
+    ``T_a_b Exp(xi) T_b_a = Exp(adjoint(T_a_b) xi)`` to first order. The zero blocks and the order
+    follow from the tangent [rotation, translation].
     """
-    R, p = T_a_b[:3, :3], T_a_b[:3, 3]
-    result = np.zeros((6, 6))
-    result[:3, :3] = result[3:, 3:] = R
-    result[3:, :3] = np.cross(p, R, axisb=0, axisc=0)
+    R, p = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
+    p_cross = np.zeros_like(R)
+    p_cross[..., 0, 1], p_cross[..., 0, 2], p_cross[..., 1, 2] = -p[..., 2], p[..., 1], -p[..., 0]
+    p_cross[..., 1, 0], p_cross[..., 2, 0], p_cross[..., 2, 1] = p[..., 2], -p[..., 1], p[..., 0]
+    result = np.zeros((*R.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = R
+    result[..., 3:, :3] = p_cross @ R
     return result
 
 

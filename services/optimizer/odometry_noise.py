@@ -10,28 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from covinz.config import OdometryNoise
-from covinz.frames import Array, inverse, rotation_angle
+from covinz.frames import Array, adjoint, inverse, rotation_angle
 from services.optimizer.segments import Segment
 
 # An agent that knows nothing says so with a huge covariance. Beyond this variance of a step
 # (100 rad, 100 m) the edge no longer matters and only the conditioning of its inverse suffers.
 MAX_STEP_VARIANCE = 1e4
-
-
-def adjoint(T_a_b: Array) -> Array:
-    """(..., 6, 6) that carries a right perturbation of a pose from frame b to frame a.
-
-    ``T_a_b Exp(xi) T_b_a = Exp(adjoint(T_a_b) xi)`` to first order. The zero blocks and the order
-    follow from the tangent [rotation, translation].
-    """
-    R, p = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
-    p_cross = np.zeros_like(R)
-    p_cross[..., 0, 1], p_cross[..., 0, 2], p_cross[..., 1, 2] = -p[..., 2], p[..., 1], -p[..., 0]
-    p_cross[..., 1, 0], p_cross[..., 2, 0], p_cross[..., 2, 1] = p[..., 2], -p[..., 1], p[..., 0]
-    result = np.zeros((*R.shape[:-2], 6, 6))
-    result[..., :3, :3] = result[..., 3:, 3:] = R
-    result[..., 3:, :3] = p_cross @ R
-    return result
 
 
 def step_covariances(segment: Segment, noise: OdometryNoise) -> Array:
