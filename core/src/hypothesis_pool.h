@@ -21,6 +21,10 @@ class HypothesisPool {
   // since its inliers decide when RANSAC ends. Returns whether there is a new best pose.
   bool Propose(const Eigen::Isometry3d& T_cand_query);
 
+  // Takes a pose that may be wrong by width_px; it is optimised before it is proposed if it is
+  // among the better ones of its kind.
+  bool ProposeRough(const Eigen::Isometry3d& T_cand_query, double width_px);
+
   // Inliers of each pair of the best pose so far.
   std::vector<std::vector<int>> BestInliers() const;
 
@@ -34,6 +38,8 @@ class HypothesisPool {
     double gain;  // of RigScore
   };
 
+  // Which groups of matches an approach uses.
+  int Stride() const;
   void OptimizeProposals();
   void LeaveBest();
   void LeaveOptimum(size_t optimum);
@@ -47,6 +53,7 @@ class HypothesisPool {
   const RigHypothesisOptions& options_;
   std::vector<Pose> proposals_;
   double best_proposal_ = 0.0;  // its gain
+  double best_rough_ = 0.0;     // likewise, of rough ones
   std::vector<Pose> optima_;
   size_t best_optimum_ = 0;
 };
