@@ -17,6 +17,9 @@ class HypothesisPool {
   HypothesisPool(const RigSampson& sampson, const RigHypothesisOptions& options)
       : sampson_(sampson), options_(options) {}
 
+  // Stride with which to look at the matches where a part of them is enough.
+  int Stride() const;
+
   // Takes a pose from a minimal sample. One that is better than all before it is optimised at once,
   // since its inliers decide when RANSAC ends. Returns whether there is a new best pose.
   bool Propose(const Eigen::Isometry3d& T_cand_query);
@@ -38,8 +41,6 @@ class HypothesisPool {
     double gain;  // of RigScore
   };
 
-  // Which groups of matches an approach uses.
-  int Stride() const;
   void OptimizeProposals();
   void LeaveBest();
   void LeaveOptimum(size_t optimum);

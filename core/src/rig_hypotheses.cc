@@ -127,13 +127,19 @@ bool Search::IsTooLong(const Eigen::Isometry3d& T_cand_query, const RayMatch& ma
 }
 
 void Search::TryDistances(size_t pair, const UnscaledPose& pose, const RayMatch& first) {
+  std::optional<Eigen::Isometry3d> best;
+  double best_gain = 0.0;
   for (int i = 0; i < options_.num_scale_rays; ++i) {
     const Row row = DrawRow(pair);
     const std::optional<Eigen::Isometry3d> T_cand_query =
         ScaleByRay(pose, first, RayMatchOf(rigs_, row.pair, row.match));
     if (!T_cand_query || IsTooLong(*T_cand_query, first)) continue;
-    improved_ |= pool_.Propose(*T_cand_query);
+    const double gain = sampson_.Score(*T_cand_query, options_.max_error_px, pool_.Stride()).gain;
+    if (gain <= best_gain) continue;
+    best_gain = gain;
+    best = T_cand_query;
   }
+  if (best) improved_ |= pool_.Propose(*best);
 }
 
 // That a sample has inliers of the best pose only: five of a pair and one of the rays tried.

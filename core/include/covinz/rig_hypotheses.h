@@ -21,7 +21,7 @@ struct RigHypothesisOptions {
   // since a second pose with fewer inliers is to be found as well: with 80 % of them it then has 95
   // %.
   double confidence = 0.9999;
-  int min_num_iterations = 100;
+  int min_num_iterations = 50;
   int max_num_iterations = 1000;
   // Rays of other pairs that are tried for the distance of each promising pose of one pair.
   int num_scale_rays = 5;
