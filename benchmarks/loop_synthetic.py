@@ -1,8 +1,8 @@
-"""Claim: the fast profile is faster than the paper's, a third as wrong, and knows how wrong it is.
+"""Claim: the fast profile is fast, a third as wrong as the paper's, and knows how wrong it is.
 
-Both solve the same generated problems (loop_problems.py) in the same run; times are CPU times of one
-thread, matching included. A loop counts as right within 0.3 m and 3 degrees. NEES is 6 ideally; 22.5
-is its 99.9 % quantile.
+Both solve the same generated problems (loop_problems.py) in the same run; times are CPU times of
+one thread, matching included. A loop counts as right within 0.3 m and 3 degrees. NEES is 6 ideally;
+22.5 is its 99.9 % quantile.
 
     python -m benchmarks.loop_synthetic [--trials N] [--conditions NAME ...] [--json FILE]
 """

@@ -19,6 +19,16 @@ namespace nb = nanobind;
 using nb::literals::operator""_a;
 
 void BindStageOptions(nb::module_& m) {
+  nb::class_<Verticals>(m, "Verticals",
+                        "Unit vectors along the vertical in the two reference bodies.")
+      .def(
+          "__init__",
+          [](Verticals* self, const Eigen::Vector3d& query, const Eigen::Vector3d& cand) {
+            new (self) Verticals{query, cand};
+          },
+          "query"_a, "cand"_a, "Both up or both down.")
+      .def_ro("query", &Verticals::query)
+      .def_ro("cand", &Verticals::cand);
   nb::class_<RigHypothesisOptions>(m, "RigHypothesisOptions", "Options of the joint estimation.")
       .def(nb::init<>())
       .def_rw("max_error_px", &RigHypothesisOptions::max_error_px)
@@ -26,6 +36,10 @@ void BindStageOptions(nb::module_& m) {
       .def_rw("min_num_iterations", &RigHypothesisOptions::min_num_iterations)
       .def_rw("max_num_iterations", &RigHypothesisOptions::max_num_iterations)
       .def_rw("max_num_hypotheses", &RigHypothesisOptions::max_num_hypotheses)
+      .def_rw("verticals", &RigHypothesisOptions::verticals,
+              nb::for_setter(nb::arg("value").none()),
+              "Of the two keyframes, None where one is unknown: a source of proposals only.")
+      .def_rw("vertical_sigma_rad", &RigHypothesisOptions::vertical_sigma_rad)
       .def("check", &RigHypothesisOptions::Check);
   nb::class_<RigRefinementOptions>(m, "RigRefinementOptions", "Options of the bundle adjustment.")
       .def(nb::init<>())

@@ -14,12 +14,14 @@ namespace {
 constexpr double kMinRelativeGain = 0.4;
 // A hypothesis that is better explained by the other's is no second solution.
 constexpr double kMinRelativeOptimum = 0.5;
+// Rough proposals differ less in their gain: all of them have the same error on top.
+constexpr double kMinRelativeRough = 0.6;
 // Local optimisation from wide to narrow, in units of max_error_px. The last is wider than one: the
 // biweight leaves matches at its limit without weight.
 constexpr double kWidths[] = {4.0, 2.0, 1.5};
 constexpr int kIterationsPerWidth = 3;
 constexpr int kFinalIterations = 20;
-// About as many matches are enough to get near an optimum.
+// About as many matches are enough to get near an optimum, and to tell which pose is better.
 constexpr int kNumApproachMatches = 300;
 // An optimisation that comes this near to an earlier optimum would end there; in units of the
 // distance within which hypotheses are the same.
@@ -71,6 +73,17 @@ bool HypothesisPool::Propose(const Eigen::Isometry3d& T_cand_query) {
   return best_optimum_ != previous || optima_.size() == 1;
 }
 
+bool HypothesisPool::ProposeRough(const Eigen::Isometry3d& T_cand_query, double width_px) {
+  const double gain = sampson_.Score(T_cand_query, width_px).gain;
+  if (gain <= kMinRelativeRough * best_rough_) return false;
+  best_rough_ = std::max(best_rough_, gain);
+  return Propose(MinimizeSampson(sampson_, T_cand_query, width_px, kIterationsPerWidth, Stride()));
+}
+
+int HypothesisPool::Stride() const {
+  return std::max(1, sampson_.NumMatches() / kNumApproachMatches);
+}
+
 std::vector<std::vector<int>> HypothesisPool::BestInliers() const {
   return sampson_.Inliers(optima_.at(best_optimum_).T_cand_query, options_.max_error_px);
 }
@@ -86,9 +99,8 @@ bool HypothesisPool::IsOptimum(const Eigen::Isometry3d& T_cand_query) const {
 // Whether it led to a new optimum.
 bool HypothesisPool::Optimize(const Eigen::Isometry3d& T_start) {
   Eigen::Isometry3d T = T_start;
-  const int stride = std::max(1, sampson_.NumMatches() / kNumApproachMatches);
   for (const double width : kWidths) {
-    T = MinimizeSampson(sampson_, T, width * options_.max_error_px, kIterationsPerWidth, stride);
+    T = MinimizeSampson(sampson_, T, width * options_.max_error_px, kIterationsPerWidth, Stride());
     if (IsOptimum(T)) return false;
   }
   optima_.push_back({T, sampson_.Score(T, options_.max_error_px).gain});

@@ -17,9 +17,16 @@ class HypothesisPool {
   HypothesisPool(const RigSampson& sampson, const RigHypothesisOptions& options)
       : sampson_(sampson), options_(options) {}
 
+  // Stride with which to look at the matches where a part of them is enough.
+  int Stride() const;
+
   // Takes a pose from a minimal sample. One that is better than all before it is optimised at once,
   // since its inliers decide when RANSAC ends. Returns whether there is a new best pose.
   bool Propose(const Eigen::Isometry3d& T_cand_query);
+
+  // Takes a pose that may be wrong by width_px; it is optimised before it is proposed if it is
+  // among the better ones of its kind.
+  bool ProposeRough(const Eigen::Isometry3d& T_cand_query, double width_px);
 
   // Inliers of each pair of the best pose so far.
   std::vector<std::vector<int>> BestInliers() const;
@@ -47,6 +54,7 @@ class HypothesisPool {
   const RigHypothesisOptions& options_;
   std::vector<Pose> proposals_;
   double best_proposal_ = 0.0;  // its gain
+  double best_rough_ = 0.0;     // likewise, of rough ones
   std::vector<Pose> optima_;
   size_t best_optimum_ = 0;
 };

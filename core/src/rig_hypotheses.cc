@@ -21,6 +21,8 @@ constexpr double kMinRelativeInliers = 0.5;
 // ... and, besides its sample, more than this part of them, which chance reaches in one of a
 // hundred cases. [measured on random matches at 3 px; in proportion to the width of the band]
 constexpr double kChancePerPx = 0.013;
+// Part of the upright samples of inliers that the error of the verticals leaves good.
+constexpr double kUprightSuccess = 0.5;
 // Loops that are more times as long than the longest baseline of a rig have no observable length.
 constexpr double kMaxBaselineRatio = 50.0;
 
@@ -45,8 +47,11 @@ class Search {
 
  private:
   Row DrawRow(size_t without_pair);
-  void Iterate();
+  void SampleFivePlusOne();
+  void SampleUpright();
   void TryDistances(size_t pair, const UnscaledPose& pose, const RayMatch& first);
+  double ParallelRad(size_t pair) const;
+  bool IsTooLong(const Eigen::Isometry3d& T_cand_query, const RayMatch& match) const;
   double GoodSampleProbability() const;
 
   const RigPairs& rigs_;
@@ -71,7 +76,32 @@ Row Search::DrawRow(size_t without_pair) {
   }
 }
 
-void Search::Iterate() {
+double Search::ParallelRad(size_t pair) const {
+  return options_.max_error_px *
+         std::hypot(1.0 / rigs_.pairs[pair].query_focal_px, 1.0 / rigs_.pairs[pair].cand_focal_px);
+}
+
+void Search::SampleUpright() {
+  std::array<RayMatch, 4> four;
+  std::array<Row, 4> rows;
+  bool several_pairs = false;
+  for (size_t i = 0; i < four.size(); ++i) {
+    rows[i] = DrawRow(sampson_.NumPairs());
+    four[i] = RayMatchOf(rigs_, rows[i].pair, rows[i].match);
+    several_pairs |= rows[i].pair != rows[0].pair;
+  }
+  if (!several_pairs) return;
+  const double error_rad = 2.0 * options_.vertical_sigma_rad;
+  const double width_px =
+      std::hypot(options_.max_error_px, error_rad * rigs_.pairs[rows[0].pair].query_focal_px);
+  for (const Eigen::Isometry3d& T_cand_query : SolveUprightFourPoint(
+           four, *options_.verticals, std::hypot(error_rad, ParallelRad(rows[0].pair)))) {
+    if (IsTooLong(T_cand_query, four[0])) continue;
+    improved_ |= pool_.ProposeRough(T_cand_query, width_px);
+  }
+}
+
+void Search::SampleFivePlusOne() {
   const size_t pair = DrawRow(sampson_.NumPairs()).pair;
   const int num_matches = sampson_.NumMatches(pair);
   if (num_matches < kSampleSize || num_matches == sampson_.NumMatches()) return;
@@ -81,11 +111,8 @@ void Search::Iterate() {
   for (size_t i = 0; i < five.size(); ++i) {
     five[i] = RayMatchOf(rigs_, pair, static_cast<size_t>(sample[i]));
   }
-  const double parallel_rad =
-      options_.max_error_px *
-      std::hypot(1.0 / rigs_.pairs[pair].query_focal_px, 1.0 / rigs_.pairs[pair].cand_focal_px);
   const double by_chance = kSampleSize + kChancePerPx * options_.max_error_px * num_matches;
-  for (const UnscaledPose& pose : FivePointPoses(five, parallel_rad)) {
+  for (const UnscaledPose& pose : FivePointPoses(five, ParallelRad(pair))) {
     const int num_inliers =
         sampson_.ScorePair(pair, pose.R_cand_query, pose.direction, options_.max_error_px)
             .num_inliers;
@@ -95,16 +122,24 @@ void Search::Iterate() {
   }
 }
 
+bool Search::IsTooLong(const Eigen::Isometry3d& T_cand_query, const RayMatch& match) const {
+  return !((T_cand_query * match.query_centre - match.cand_centre).norm() <= max_distance_m_);
+}
+
 void Search::TryDistances(size_t pair, const UnscaledPose& pose, const RayMatch& first) {
+  std::optional<Eigen::Isometry3d> best;
+  double best_gain = 0.0;
   for (int i = 0; i < options_.num_scale_rays; ++i) {
     const Row row = DrawRow(pair);
     const std::optional<Eigen::Isometry3d> T_cand_query =
         ScaleByRay(pose, first, RayMatchOf(rigs_, row.pair, row.match));
-    if (!T_cand_query) continue;
-    const Eigen::Vector3d baseline = *T_cand_query * first.query_centre - first.cand_centre;
-    if (baseline.norm() > max_distance_m_) continue;
-    improved_ |= pool_.Propose(*T_cand_query);
+    if (!T_cand_query || IsTooLong(*T_cand_query, first)) continue;
+    const double gain = sampson_.Score(*T_cand_query, options_.max_error_px, pool_.Stride()).gain;
+    if (gain <= best_gain) continue;
+    best_gain = gain;
+    best = T_cand_query;
   }
+  if (best) improved_ |= pool_.Propose(*best);
 }
 
 // That a sample has inliers of the best pose only: five of a pair and one of the rays tried.
@@ -124,14 +159,20 @@ double Search::GoodSampleProbability() const {
     probability +=
         size / sampson_.NumMatches() * std::pow(of_pair / size, kSampleSize) * (1.0 - no_ray);
   }
-  return probability;
+  if (!options_.verticals) return probability;
+  const double upright = std::pow(num_inliers / sampson_.NumMatches(), 4);
+  return 0.5 * (probability + kUprightSuccess * upright);
 }
 
 std::vector<RigHypothesis> Search::Run() {
   int num_iterations = options_.max_num_iterations;
   for (int i = 0; i < num_iterations; ++i) {
     improved_ = false;
-    Iterate();
+    if (options_.verticals && i % 2 == 1) {
+      SampleUpright();
+    } else {
+      SampleFivePlusOne();
+    }
     if (!improved_) continue;
     const int needed = NumRansacIterations(GoodSampleProbability(), options_.confidence,
                                            options_.max_num_iterations);
@@ -157,6 +198,13 @@ void RigHypothesisOptions::Check() const {
   }
   if (min_num_inliers < kSampleSize + 1) {
     throw std::invalid_argument("RigHypothesisOptions.min_num_inliers must be at least 6");
+  }
+  const auto is_unit = [](const Eigen::Vector3d& v) { return std::abs(v.norm() - 1.0) < 1e-6; };
+  if (verticals && !(is_unit(verticals->query) && is_unit(verticals->cand))) {
+    throw std::invalid_argument("RigHypothesisOptions.verticals must be unit vectors");
+  }
+  if (!(vertical_sigma_rad >= 0.0)) {
+    throw std::invalid_argument("RigHypothesisOptions.vertical_sigma_rad must not be negative");
   }
   if (!(max_same_distance_m > 0.0 && max_same_angle_rad > 0.0)) {
     throw std::invalid_argument("RigHypothesisOptions: same distance and angle must be positive");

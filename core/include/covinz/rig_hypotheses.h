@@ -2,12 +2,14 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Geometry>
 
 #include "covinz/rig_relative_pose.h"
 #include "covinz/rig_sampson.h"
+#include "covinz/upright_relative_pose.h"
 
 namespace covinz {
 
@@ -19,7 +21,7 @@ struct RigHypothesisOptions {
   // since a second pose with fewer inliers is to be found as well: with 80 % of them it then has 95
   // %.
   double confidence = 0.9999;
-  int min_num_iterations = 100;
+  int min_num_iterations = 50;
   int max_num_iterations = 1000;
   // Rays of other pairs that are tried for the distance of each promising pose of one pair.
   int num_scale_rays = 5;
@@ -31,6 +33,10 @@ struct RigHypothesisOptions {
   double max_same_distance_m = 0.1;
   double max_same_angle_rad = 0.026;
   double min_same_overlap = 0.5;
+  // Where both keyframes know the vertical, every other sample is an upright one of four matches.
+  std::optional<Verticals> verticals = std::nullopt;
+  // Its error on either side [rad], per axis. [half a degree: visual-inertial odometry]
+  double vertical_sigma_rad = 0.0087;
   InstructionSet instruction_set = BestInstructionSet();
 
   void Check() const;  // throws std::invalid_argument
@@ -53,6 +59,9 @@ struct RigHypothesis {
 // loops are mostly second solutions, translation traded for rotation about the scene's depth: so
 // several hypotheses survive, and each optimum is also left along the direction that it determines
 // least.
+//
+// Verticals only propose (upright_relative_pose.h): half a degree moves a ray by 4 px. Such a pose
+// is scored within that error and optimised before it is compared with others.
 //
 // Same seed and input, same result on every instruction set. Throws std::invalid_argument on
 // malformed input.

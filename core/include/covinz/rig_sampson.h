@@ -46,13 +46,15 @@ class RigSampson {
   explicit RigSampson(const RigPairs& rigs, InstructionSet instruction_set = BestInstructionSet());
 
   // Score of all matches.
-  RigScore Score(const Eigen::Isometry3d& T_cand_query, double max_error_px) const;
+  // With a stride, here and below: only of every stride-th group of eight matches of each pair.
+  RigScore Score(const Eigen::Isometry3d& T_cand_query, double max_error_px, int stride = 1) const;
 
   // Score of the matches of one pair for a baseline b of any length.
   RigScore ScorePair(size_t pair,
                      const Eigen::Matrix3d& R_cand_query,
                      const Eigen::Vector3d& baseline,
-                     double max_error_px) const;
+                     double max_error_px,
+                     int stride = 1) const;
 
   // Inliers of each pair, ascending.
   std::vector<std::vector<int>> Inliers(const Eigen::Isometry3d& T_cand_query,
@@ -60,8 +62,7 @@ class RigSampson {
 
   // Normal equations of the biweight cost  k^2 / 3 (1 - (1 - error^2 / k^2)^3)  of inliers within
   // k = max_error_px, k^2 / 3 of the others: weights (1 - error^2 / k^2)^2. The denominator is
-  // differentiated too; held constant it would shrink the scale. With a stride, only of every
-  // stride-th group of eight matches.
+  // differentiated too; held constant it would shrink the scale.
   //
   // Source: Beaton and Tukey, "The fitting of power series", Technometrics 1974.
   SampsonSystem Linearize(const Eigen::Isometry3d& T_cand_query,

@@ -61,10 +61,12 @@ bool AreDistinct(const Eigen::Isometry3d& T_a,
                  const RigSelectionOptions& options);
 
 // How many standard deviations the best solution is ahead of another: the log-likelihood ratio over
-// its own standard deviation, estimated from how much the cells of the scene differ in their
-// verdict (matches of one cell err alike). Wrong loops are second solutions that trade translation
-// for rotation about the scene's depth: a part of the scene prefers the one, a part the other, with
-// an inlier count that hardly differs.
+// its own standard deviation. Each cell of the scene votes with its share of the ratio, since
+// matches of one cell err alike; the votes against the majority show the noise, and no cell decides
+// alone: sigma^2 = 2 sum_against d_c^2 + max_c d_c^2. (The plain scatter of the votes would count
+// as noise that some parts of a scene tell much more than others.) Wrong loops are second solutions
+// that trade translation for rotation about the scene's depth: a part of the scene prefers the one,
+// a part the other, and the inlier counts hardly differ.
 //
 // Source: Vuong, "Likelihood ratio tests for model selection and non-nested hypotheses",
 // Econometrica 1989, with clusters as in Liang and Zeger, Biometrika 1986; decision 0020.
