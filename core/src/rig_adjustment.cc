@@ -16,12 +16,16 @@ using Matrix63 = Eigen::Matrix<double, 6, 3>;
 // First unknown of a camera; negative for the fixed one.
 Eigen::Index Unknown(int camera) { return 6 * (static_cast<Eigen::Index>(camera) - 1); }
 
-void AddMotions(const RigAdjustment& problem,
-                const RigAdjustmentState& state,
-                ReducedSystem& system) {
+// Returns their cost.
+double AddMotions(const RigAdjustment& problem,
+                  const RigAdjustmentState& state,
+                  ReducedSystem& system) {
+  double cost = 0.0;
   for (const AdjustedMotion& motion : problem.motions) {
     const MotionResidual residual = EvaluateMotion(motion, state);
-    const double weight = CauchyLoss(residual.error.squaredNorm(), problem.motion_loss2).weight;
+    const RobustLoss loss = CauchyLoss(residual.error.squaredNorm(), problem.motion_loss2);
+    const double weight = loss.weight;
+    cost += loss.cost;
     const Eigen::Index from = Unknown(motion.from);
     const Eigen::Index to = Unknown(motion.to);
     if (from >= 0) {
@@ -39,24 +43,30 @@ void AddMotions(const RigAdjustment& problem,
       system.hessian.block<6, 6>(to, from) += cross.transpose();
     }
   }
+  return cost;
 }
 
-// Adds the observations of a track; leaves the point's own equations in `point`, not yet inverted.
-void AddObservations(const RigAdjustment& problem,
-                     const RigAdjustmentState& state,
-                     size_t track,
-                     double damping,
-                     ReducedSystem& system) {
+// Adds the observations of a track and leaves the point's own equations in system.points. Returns
+// the track's cost.
+double AddObservations(const RigAdjustment& problem,
+                       const RigAdjustmentState& state,
+                       size_t track,
+                       double damping,
+                       ReducedSystem& system) {
   const InverseDistancePoint& x = state.points[track];
   const Eigen::Matrix<double, 2, 3> basis = TangentBasis(x.direction);
   Eigen::Matrix3d hessian = problem.PointInformation();
   Eigen::Vector3d gradient(0.0, 0.0, problem.inverse_distance_information * x.inverse_distance);
+  // The sum of the logarithms of the losses: at most 32 factors of some 1e5.
+  double product = 1.0;
   for (int i = problem.begins[track]; i < problem.begins[track + 1]; ++i) {
     const BearingMeasurement& measured = problem.observations[static_cast<size_t>(i)];
     const BearingResidual residual = EvaluateBearing(
         measured, x, basis, state.T_world_cam[static_cast<size_t>(measured.camera)]);
-    const double weight =
-        KeypointLoss(problem, measured, residual.error.squaredNorm(), residual.in_front).weight;
+    const double weight = KeypointWeight(problem, residual);
+    const double error2 = residual.in_front ? residual.error.squaredNorm()
+                                            : measured.whitened_basis.row(0).squaredNorm();
+    product *= 1.0 + error2 / problem.keypoint_loss2;
     const Eigen::Matrix<double, 2, 3> J_point = weight * residual.J_point;
     hessian.noalias() += J_point.transpose() * residual.J_point;
     gradient.noalias() += J_point.transpose() * residual.error;
@@ -71,6 +81,8 @@ void AddObservations(const RigAdjustment& problem,
   }
   hessian.diagonal() *= 1.0 + damping;
   system.points[track] = {hessian.inverse(), gradient};
+  return problem.keypoint_loss2 * std::log(product) +
+         problem.inverse_distance_information * x.inverse_distance * x.inverse_distance;
 }
 
 // H_cc -= W_c V^-1 W_c'^T,  g_c -= W_c V^-1 g_point.
@@ -162,15 +174,6 @@ RobustLoss MotionLoss(double squared_error, const RigRefinementOptions& options)
   return CauchyLoss(squared_error, options.motion_dof + 6.0);
 }
 
-RobustLoss KeypointLoss(const RigAdjustment& problem,
-                        const BearingMeasurement& measured,
-                        double squared_error,
-                        bool in_front) {
-  if (in_front) return CauchyLoss(squared_error, problem.keypoint_loss2);
-  const double worst = measured.whitened_basis.row(0).squaredNorm();
-  return {CauchyLoss(worst, problem.keypoint_loss2).cost, 0.0};
-}
-
 MotionResidual EvaluateMotion(const AdjustedMotion& motion, const RigAdjustmentState& state) {
   const Eigen::Isometry3d& from = state.T_world_cam[static_cast<size_t>(motion.from)];
   const Eigen::Isometry3d& to = state.T_world_cam[static_cast<size_t>(motion.to)];
@@ -181,43 +184,23 @@ MotionResidual EvaluateMotion(const AdjustedMotion& motion, const RigAdjustmentS
           motion.whitening * residual.J_to};
 }
 
-double Cost(const RigAdjustment& problem, const RigAdjustmentState& state) {
-  double cost = 0.0;
-  for (const AdjustedMotion& motion : problem.motions) {
-    const double error2 = EvaluateMotion(motion, state).error.squaredNorm();
-    cost += CauchyLoss(error2, problem.motion_loss2).cost;
-  }
-  for (size_t t = 0; t < problem.NumTracks(); ++t) {
-    const InverseDistancePoint& point = state.points[t];
-    cost += problem.inverse_distance_information * point.inverse_distance * point.inverse_distance;
-    for (int i = problem.begins[t]; i < problem.begins[t + 1]; ++i) {
-      const BearingMeasurement& measured = problem.observations[static_cast<size_t>(i)];
-      const Eigen::Vector3d unit =
-          RayInCamera(point, state.T_world_cam[static_cast<size_t>(measured.camera)]).normalized();
-      cost += KeypointLoss(problem, measured, (measured.whitened_basis * unit).squaredNorm(),
-                           measured.bearing.dot(unit) > 0.0)
-                  .cost;
-    }
-  }
-  return cost;
-}
-
-void Linearize(const RigAdjustment& problem,
-               const RigAdjustmentState& state,
-               double damping,
-               ReducedSystem& system) {
+double Linearize(const RigAdjustment& problem,
+                 const RigAdjustmentState& state,
+                 double damping,
+                 ReducedSystem& system) {
   const Eigen::Index n = problem.NumCameraUnknowns();
   system.hessian.setZero(n, n);
   system.gradient.setZero(n);
   system.points.resize(problem.NumTracks());
   system.couplings.resize(problem.observations.size());
-  AddMotions(problem, state, system);
+  double cost = AddMotions(problem, state, system);
   for (size_t t = 0; t < problem.NumTracks(); ++t) {
-    AddObservations(problem, state, t, damping, system);
+    cost += AddObservations(problem, state, t, damping, system);
     EliminatePoint(problem, t, system);
   }
   system.hessian.triangularView<Eigen::StrictlyUpper>() =
       system.hessian.transpose().triangularView<Eigen::StrictlyUpper>();
+  return cost;
 }
 
 RigAdjustmentState Step(const RigAdjustment& problem,

@@ -81,11 +81,11 @@ RobustLoss CauchyLoss(double squared_error, double loss2);
 // residual is 0, so a motion that the images do not test keeps its own covariance.
 RobustLoss MotionLoss(double squared_error, const RigRefinementOptions& options);
 
-// A keypoint's loss; one behind its camera costs as one at a right angle and has no weight.
-RobustLoss KeypointLoss(const RigAdjustment& problem,
-                        const BearingMeasurement& measured,
-                        double squared_error,
-                        bool in_front);
+// Weight of a keypoint; one behind its camera has none.
+inline double KeypointWeight(const RigAdjustment& problem, const BearingResidual& residual) {
+  return residual.in_front ? 1.0 / (1.0 + residual.error.squaredNorm() / problem.keypoint_loss2)
+                           : 0.0;
+}
 
 // Whitened residual of a motion and its Jacobians with respect to both cameras.
 struct MotionResidual {
@@ -95,13 +95,12 @@ struct MotionResidual {
 };
 MotionResidual EvaluateMotion(const AdjustedMotion& motion, const RigAdjustmentState& state);
 
-double Cost(const RigAdjustment& problem, const RigAdjustmentState& state);
-
-// Diagonals are multiplied by 1 + damping. Source: Marquardt 1963.
-void Linearize(const RigAdjustment& problem,
-               const RigAdjustmentState& state,
-               double damping,
-               ReducedSystem& system);
+// Diagonals are multiplied by 1 + damping. Returns the cost of the state, a keypoint behind its
+// camera counting as one at a right angle. Source: Marquardt 1963.
+double Linearize(const RigAdjustment& problem,
+                 const RigAdjustmentState& state,
+                 double damping,
+                 ReducedSystem& system);
 
 RigAdjustmentState Step(const RigAdjustment& problem,
                         const RigAdjustmentState& state,

@@ -76,12 +76,12 @@ class Cells {
   Eigen::Index YError(size_t observation) const { return y_errors_[observation]; }
 
   // A Q.
-  Eigen::MatrixXd TimesCorrelation(const Eigen::MatrixXd& A,
-                                   const RefinementCovarianceOptions& options) const {
-    Eigen::MatrixXd product(A.rows(), A.cols());
+  template <typename Matrix>
+  Matrix TimesCorrelation(const Matrix& A, const RefinementCovarianceOptions& options) const {
+    Matrix product(A.rows(), A.cols());
     for (size_t c = 0; c + 1 < begins_.size(); ++c) {
       const Eigen::Index n = begins_[c + 1] - begins_[c];
-      const Eigen::MatrixXd Q = Correlation(begins_[c], n, options);
+      const Matrix Q = Correlation(begins_[c], n, options).template cast<typename Matrix::Scalar>();
       for (const Eigen::Index first : {2 * begins_[c], 2 * begins_[c] + n}) {
         product.middleCols(first, n).noalias() = A.middleCols(first, n) * Q;
       }
@@ -141,8 +141,7 @@ void FillRows(const RigAdjustment& problem,
     const BearingMeasurement& measured = problem.observations[n];
     const BearingResidual residual = EvaluateBearing(
         measured, point, basis, state.T_world_cam[static_cast<size_t>(measured.camera)]);
-    const double root = std::sqrt(
-        KeypointLoss(problem, measured, residual.error.squaredNorm(), residual.in_front).weight);
+    const double root = std::sqrt(KeypointWeight(problem, residual));
     rows.push_back({root * residual.J_cam, root * residual.J_point, root * residual.error, root,
                     6 * (static_cast<Eigen::Index>(measured.camera) - 1), cells.XError(n),
                     cells.YError(n)});
@@ -152,7 +151,7 @@ void FillRows(const RigAdjustment& problem,
 // What the variance components are made of; first with M as the points leave it.
 struct CellSums {
   Eigen::MatrixXd coupling;  // A: camera unknowns x cell errors
-  Eigen::MatrixXd kernel;    // K
+  Eigen::MatrixXf kernel;    // K; single precision is far more than a variance of it needs
   Eigen::VectorXd residual;  // C^T e
   double residual2 = 0.0;    // e^T e
   double dof = 0.0;          // tr(M)
@@ -179,10 +178,10 @@ void AddTrack(const std::vector<Row>& rows, Eigen::Matrix3d information, CellSum
         sums.coupling.block<6, 1>(a.camera, b.x) += coupling.col(0);
         sums.coupling.block<6, 1>(a.camera, b.y) += coupling.col(1);
       }
-      sums.kernel(a.x, b.x) += a.root_weight * left(0, 0);
-      sums.kernel(a.y, b.x) += a.root_weight * left(1, 0);
-      sums.kernel(a.x, b.y) += a.root_weight * left(0, 1);
-      sums.kernel(a.y, b.y) += a.root_weight * left(1, 1);
+      sums.kernel(a.x, b.x) += static_cast<float>(a.root_weight * left(0, 0));
+      sums.kernel(a.y, b.x) += static_cast<float>(a.root_weight * left(1, 0));
+      sums.kernel(a.x, b.y) += static_cast<float>(a.root_weight * left(0, 1));
+      sums.kernel(a.y, b.y) += static_cast<float>(a.root_weight * left(1, 1));
     }
   }
 }
@@ -192,7 +191,7 @@ CellSums SumCells(const RigAdjustment& problem,
                   const Cells& cells) {
   CellSums sums;
   sums.coupling = Eigen::MatrixXd::Zero(problem.NumCameraUnknowns(), cells.NumErrors());
-  sums.kernel = Eigen::MatrixXd::Zero(cells.NumErrors(), cells.NumErrors());
+  sums.kernel = Eigen::MatrixXf::Zero(cells.NumErrors(), cells.NumErrors());
   sums.residual = Eigen::VectorXd::Zero(cells.NumErrors());
   std::vector<Row> rows;
   for (size_t t = 0; t < problem.NumTracks(); ++t) {
@@ -213,10 +212,11 @@ VarianceComponents EstimateComponents(const CellSums& sums,
                                       double weighted_variance,
                                       double min_independent,
                                       const RefinementCovarianceOptions& options) {
-  const Eigen::MatrixXd KQ = cells.TimesCorrelation(sums.kernel, options);
+  const Eigen::MatrixXf KQ = cells.TimesCorrelation(sums.kernel, options);
   const double tr_KQ = KQ.trace();
   const double tr_KQKQ = KQ.cwiseProduct(KQ.transpose()).sum();
-  const Eigen::MatrixXd sums_Q = cells.TimesCorrelation(sums.residual.transpose(), options);
+  const Eigen::MatrixXd sums_Q =
+      cells.TimesCorrelation<Eigen::MatrixXd>(sums.residual.transpose(), options);
   const double square = sums.residual2 / weighted_variance;
   const double cells_square = (sums_Q * sums.residual)(0) / weighted_variance;
   const double determinant = sums.dof * tr_KQKQ - tr_KQ * tr_KQ;
@@ -279,7 +279,7 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   CellSums sums = SumCells(problem, state, cells);
   // The cameras take their share of the errors as well.
   const Eigen::MatrixXd influence = inverse * sums.coupling;
-  sums.kernel.noalias() -= sums.coupling.transpose() * influence;
+  sums.kernel.noalias() -= sums.coupling.cast<float>().transpose() * influence.cast<float>();
   sums.dof -= inverse.cwiseProduct(H_keypoints).sum();
   const double min_sigma = options.min_independent_px / refinement_options.sigma_px;
   const VarianceComponents variance = EstimateComponents(

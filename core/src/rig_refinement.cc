@@ -27,29 +27,32 @@ std::vector<InverseDistancePoint> Triangulate(const RigAdjustment& problem,
   return points;
 }
 
-// Minimises from the given state, which becomes the result; returns the number of iterations.
+// Minimises from the given state, which becomes the result; returns the number of iterations. The
+// cost of a step comes with the equations of the next one.
 int Minimize(const RigAdjustment& problem,
              const RigRefinementOptions& options,
              RigAdjustmentState& state,
              double& cost) {
   double damping = 1e-4;
-  ReducedSystem system;
-  cost = Cost(problem, state);
+  ReducedSystem system, next_system;
+  cost = Linearize(problem, state, damping, system);
   int iteration = 0;
   while (iteration < options.max_num_iterations) {
     ++iteration;
-    Linearize(problem, state, damping, system);
     RigAdjustmentState next = Step(problem, state, system);
-    const double next_cost = Cost(problem, next);
+    const double lower_damping = std::max(1e-8, 0.1 * damping);
+    const double next_cost = Linearize(problem, next, lower_damping, next_system);
     if (!(next_cost < cost)) {
       if (!(damping < 1e3)) break;
       damping *= 10.0;
+      Linearize(problem, state, damping, system);
       continue;
     }
     const double decrease = cost - next_cost;
     state = std::move(next);
+    std::swap(system, next_system);
     cost = next_cost;
-    damping = std::max(1e-8, 0.1 * damping);
+    damping = lower_damping;
     if (decrease < options.min_relative_decrease * cost) break;
   }
   return iteration;

@@ -130,6 +130,21 @@ RigTracks MergeTracks(std::vector<TrackLink> links) {
   return tracks;
 }
 
+RigTracks ThinTracks(const RigTracks& tracks, int max_num_tracks) {
+  if (tracks.NumTracks() <= max_num_tracks) return tracks;
+  RigTracks thinned;
+  thinned.begins.push_back(0);
+  for (int i = 0; i < max_num_tracks; ++i) {
+    const size_t t = static_cast<size_t>(i) * static_cast<size_t>(tracks.NumTracks()) /
+                     static_cast<size_t>(max_num_tracks);
+    thinned.observations.insert(thinned.observations.end(),
+                                tracks.observations.begin() + tracks.begins[t],
+                                tracks.observations.begin() + tracks.begins[t + 1]);
+    thinned.begins.push_back(static_cast<int>(thinned.observations.size()));
+  }
+  return thinned;
+}
+
 std::vector<TrackLink> InlierLinks(const RigPairs& rigs,
                                    const std::vector<std::vector<Match>>& keypoints,
                                    const std::vector<std::vector<int>>& inliers,

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include <Eigen/Cholesky>
@@ -38,30 +39,37 @@ struct Solution {
   SolutionScore score;
 };
 
-// Refines over the given inliers from a pose and rigs, which also say which tracks contradict one
-// another and which are out of the scene. Depths may be wrong by what a keypoint error of
-// depth_sigma_px does.
+// Where a refinement starts; the rigs also say which tracks contradict one another and which are
+// out of the scene.
+struct Start {
+  const RefinedRig& cand;
+  const RefinedRig& query;
+  const std::vector<std::vector<int>>& inliers;
+  const Eigen::Isometry3d& T_cand_query;
+  double depth_sigma_px;  // the rigs are wrong about depths by what such a keypoint error does
+};
+
 Solution Refine(const Problem& problem,
-                const RefinedRig& cand,
-                const RefinedRig& query,
-                const std::vector<std::vector<int>>& inliers,
-                const Eigen::Isometry3d& T_cand_query,
+                const Start& start,
+                int max_num_tracks,
                 int max_num_iterations,
-                double depth_sigma_px,
                 const FastLoopOptions& options) {
   RigPairs rigs = problem.matched.rigs;
-  rigs.T_cand_cam = cand.T_rig_cam;
-  rigs.T_query_cam = query.T_rig_cam;
+  rigs.T_cand_cam = start.cand.T_rig_cam;
+  rigs.T_query_cam = start.query.T_rig_cam;
   RigRefinementOptions depth_options = options.refinement;
-  depth_options.sigma_px = depth_sigma_px;
+  depth_options.sigma_px = start.depth_sigma_px;
   RigRefinementOptions refinement_options = options.refinement;
   refinement_options.max_num_iterations = max_num_iterations;
   Solution solution;
-  solution.tracks = DropImplausibleTracks(
-      cand, query, MergeTracks(InlierLinks(rigs, problem.matched.keypoints, inliers, T_cand_query)),
-      T_cand_query, depth_options, options.depth);
-  solution.refinement =
-      RefineRigs(problem.cand, problem.query, solution.tracks, T_cand_query, refinement_options);
+  const RigTracks tracks =
+      MergeTracks(InlierLinks(rigs, problem.matched.keypoints, start.inliers, start.T_cand_query));
+  solution.tracks =
+      ThinTracks(DropImplausibleTracks(start.cand, start.query, tracks, start.T_cand_query,
+                                       depth_options, options.depth),
+                 max_num_tracks);
+  solution.refinement = RefineRigs(problem.cand, problem.query, solution.tracks, start.T_cand_query,
+                                   refinement_options);
   solution.score = ScoreSolution(problem.matched.rigs, solution.refinement, options.refinement,
                                  options.selection);
   return solution;
@@ -79,8 +87,19 @@ double DepthSigma_px(const Problem& problem, const RigRefinementOptions& options
   return sigma_px;
 }
 
-// To the end, each time over all matches that the last refinement explains, until these are no more
-// than before: rigs that are still as odometry has them explain but a part.
+// As far as ranking needs it, from odometry's rigs.
+Solution RefineTrial(const Problem& problem,
+                     const std::vector<std::vector<int>>& inliers,
+                     const Eigen::Isometry3d& T_cand_query,
+                     const FastLoopOptions& options) {
+  const Start start{problem.cand, problem.query, inliers, T_cand_query,
+                    DepthSigma_px(problem, options.refinement)};
+  return Refine(problem, start, options.max_num_trial_tracks, options.max_num_trial_iterations,
+                options);
+}
+
+// To the end, each time over all matches that the last refinement explains, until these hardly grow
+// any more: rigs that are still as odometry has them explain but a part.
 Solution RefineToTheEnd(const Problem& problem, Solution solution, const FastLoopOptions& options) {
   for (int round = 0; round < options.max_num_rounds; ++round) {
     const int num_inliers = solution.score.num_inliers;
@@ -88,10 +107,11 @@ Solution RefineToTheEnd(const Problem& problem, Solution solution, const FastLoo
     RefinedRig query = problem.query;
     cand.T_rig_cam = solution.refinement.T_cand_cam;
     query.T_rig_cam = solution.refinement.T_query_cam;
-    solution =
-        Refine(problem, cand, query, solution.score.inliers, solution.refinement.T_cand_query,
-               options.refinement.max_num_iterations, options.refinement.sigma_px, options);
-    if (solution.score.num_inliers <= num_inliers) break;
+    const Start start{cand, query, solution.score.inliers, solution.refinement.T_cand_query,
+                      options.refinement.sigma_px};
+    solution = Refine(problem, start, std::numeric_limits<int>::max(),
+                      options.refinement.max_num_iterations, options);
+    if (solution.score.num_inliers <= 1.02 * num_inliers) break;
   }
   return solution;
 }
@@ -107,13 +127,10 @@ std::vector<Solution> RefineHypotheses(const Problem& problem,
                                        const std::vector<RigHypothesis>& hypotheses,
                                        const FastLoopOptions& options) {
   std::vector<Solution> solutions;
-  const double depth_sigma_px = DepthSigma_px(problem, options.refinement);
   for (const RigHypothesis& hypothesis : hypotheses) {
     if (static_cast<int>(solutions.size()) == options.max_num_refined) break;
     if (hypothesis.num_inliers < options.min_inlier_share * hypotheses[0].num_inliers) continue;
-    solutions.push_back(Refine(problem, problem.cand, problem.query, hypothesis.inliers,
-                               hypothesis.T_cand_query, options.max_num_trial_iterations,
-                               depth_sigma_px, options));
+    solutions.push_back(RefineTrial(problem, hypothesis.inliers, hypothesis.T_cand_query, options));
   }
   SortByCost(solutions);
   return solutions;
@@ -135,11 +152,10 @@ std::optional<Solution> RefineTwin(const Problem& problem,
   if (!T_world_cam) return std::nullopt;
   const Eigen::Isometry3d T_cand_query = T_cand_world * *T_world_cam * T_query_cam.inverse();
   if (AreEqual(T_cand_query, best.refinement.T_cand_query, options.selection)) return std::nullopt;
-  const Solution trial =
-      Refine(problem, problem.cand, problem.query, best.score.inliers, T_cand_query,
-             options.max_num_trial_iterations, DepthSigma_px(problem, options.refinement), options);
-  if (Significance(problem.matched.rigs, best.score, trial.score, options.selection) >=
-      options.selection.min_significance) {
+  const Solution trial = RefineTrial(problem, best.score.inliers, T_cand_query, options);
+  if (AreEqual(trial.refinement.T_cand_query, best.refinement.T_cand_query, options.selection) ||
+      Significance(problem.matched.rigs, best.score, trial.score, options.selection) >=
+          options.selection.min_significance) {
     return std::nullopt;
   }
   return RefineToTheEnd(problem, trial, options);
@@ -258,8 +274,8 @@ void FastLoopOptions::Check() const {
   depth.Check();
   selection.Check();
   covariance.Check();
-  if (max_num_refined < 1 || max_num_trial_iterations < 0 || max_num_rounds < 1 ||
-      min_num_inliers < 0) {
+  if (max_num_refined < 1 || max_num_trial_tracks < 1 || max_num_trial_iterations < 0 ||
+      max_num_rounds < 1 || min_num_inliers < 0) {
     throw std::invalid_argument("FastLoopOptions: numbers must not be negative");
   }
   if (!(min_inlier_share >= 0.0 && min_inlier_share <= 1.0)) {

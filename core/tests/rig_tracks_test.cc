@@ -112,6 +112,18 @@ TEST(MergeTracks, MalformedLinksThrow) {
   EXPECT_THROW(MergeTracks({Link(1, 0, 1, 1)}), std::invalid_argument);
 }
 
+TEST(ThinTracks, KeepsWholeTracksEvenly) {
+  std::vector<TrackLink> links;
+  for (int i = 0; i < 10; ++i) links.push_back(Link(0, i, 3, i));
+  for (int i = 0; i < 10; i += 2) links.push_back(Link(0, i, 4, i));
+  const RigTracks all = MergeTracks(links);
+  EXPECT_EQ(Members(ThinTracks(all, 10)), Members(all));
+  const std::vector<Track> expected{
+      {{0, 0}, {3, 0}, {4, 0}}, {{0, 3}, {3, 3}}, {{0, 6}, {3, 6}, {4, 6}}};
+  EXPECT_EQ(Members(ThinTracks(all, 3)), expected);
+  EXPECT_EQ(ThinTracks(all, 0).NumTracks(), 0);
+}
+
 TEST(InlierLinks, AreTheInliersWithTheirErrors) {
   const RefinementProblem problem = MakeRefinementProblem({});
   const auto inliers = std::vector<std::vector<int>>{{0, 3}, {}, {}, {}, {}, {1}};

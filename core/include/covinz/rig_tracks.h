@@ -47,6 +47,9 @@ struct RigTracks {
 // within one camera.
 RigTracks MergeTracks(std::vector<TrackLink> links);
 
+// At most so many of the tracks, evenly over their order.
+RigTracks ThinTracks(const RigTracks& tracks, int max_num_tracks);
+
 // Links of the inliers of a hypothesis: keypoints[p][i] are the rows of match i of rigs.pairs[p],
 // inliers[p] positions of matches in that pair. Their error is the Sampson error [px^2] at
 // T_cand_query. Throws std::invalid_argument where the arrays do not fit the pairs.

@@ -36,9 +36,11 @@ struct FastLoopOptions {
   // ... that have this part of the inliers of the best one at least: a second solution that could
   // be taken for the best shares more than 90 % of its inliers. [real images research]
   double min_inlier_share = 0.5;
-  // Iterations of their first refinement. The best one, and those that it is not clearly ahead of, are
-  // then refined to the end ...
+  // Tracks and iterations of their first refinement, which only has to rank them: they are judged
+  // on all matches. [24 unknowns; a full refinement mostly takes 5 iterations]
+  int max_num_trial_tracks = 120;
   int max_num_trial_iterations = 4;
+  // The best one, and those that it is not clearly ahead of, are then refined to the end ...
   // ... over the matches that they explain, chosen anew at most so often.
   int max_num_rounds = 3;
   // Matches that the solution must explain in all; there is no least number a pair. [paper III-B2]
