@@ -143,7 +143,9 @@ void BindLoopResult(nb::module_& m) {
               "Of the fast profile: per motion of the candidate's rig, then of the query's, (6,),\n"
               "odometry's residuals in its standard deviations.")
       .def_ro("independent_px", &LoopEstimate::independent_px, "Noise of a keypoint's own.")
-      .def_ro("shared_px", &LoopEstimate::shared_px, "Noise that neighbouring keypoints share.");
+      .def_ro("shared_px", &LoopEstimate::shared_px, "Noise that neighbouring keypoints share.")
+      .def_ro("analytic_covariance", &LoopEstimate::analytic_covariance,
+              "Of the fast profile: (6, 6), the inverse Hessian alone, for comparison; else None.");
   nb::class_<LoopSolution>(m, "LoopSolution", "One of several solutions that are alike.")
       .def_prop_ro(
           "T_cand_query",
