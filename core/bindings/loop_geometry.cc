@@ -161,6 +161,7 @@ void BindLoopResult(nb::module_& m) {
           "T_cand_query",
           [](const LoopSolution& self) { return Eigen::Matrix4d(self.T_cand_query.matrix()); },
           "(4, 4): query body in the candidate's body frame.")
+      .def_ro("covariance", &LoopSolution::covariance, "(6, 6), as in LoopEstimate.")
       .def_ro("num_inliers", &LoopSolution::num_inliers)
       .def_ro("cost", &LoopSolution::cost, "-2 log likelihood.");
   nb::class_<LoopRejection>(m, "LoopRejection", "Why there is no loop.")

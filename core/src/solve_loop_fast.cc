@@ -137,8 +137,18 @@ std::vector<Solution> RefineHypotheses(const Problem& problem,
   return solutions;
 }
 
-LoopSolution Report(const Solution& solution) {
-  return {solution.refinement.T_cand_query, solution.score.num_inliers, solution.score.cost};
+RefinementCovariance CovarianceOf(const Problem& problem,
+                                  const Solution& solution,
+                                  const FastLoopOptions& options) {
+  return EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
+                                      solution.refinement, options.refinement, options.covariance);
+}
+
+LoopSolution Report(const Problem& problem,
+                    const Solution& solution,
+                    const FastLoopOptions& options) {
+  return {solution.refinement.T_cand_query, CovarianceOf(problem, solution, options).covariance,
+          solution.score.num_inliers, solution.score.cost};
 }
 
 // The best solution's twin, were the scene flat, refined to the end: no sampling is sure to find
@@ -203,7 +213,7 @@ std::optional<LoopRejection> CheckUnambiguous(const Problem& problem,
         Significance(problem.matched.rigs, best.score, other.score, options.selection);
     if (ahead >= options.selection.min_significance) continue;
     LoopRejection rejection{"ambiguous", std::nullopt, ahead, options.selection.min_significance};
-    rejection.solutions = {Report(best), Report(other)};
+    rejection.solutions = {Report(problem, best, options), Report(problem, other, options)};
     return rejection;
   }
   return std::nullopt;
@@ -229,9 +239,7 @@ std::optional<LoopRejection> CheckPlausible(const LoopEstimate& loop,
 LoopEstimate MakeEstimate(const Problem& problem,
                           const Solution& solution,
                           const FastLoopOptions& options) {
-  const RefinementCovariance covariance =
-      EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
-                                   solution.refinement, options.refinement, options.covariance);
+  const RefinementCovariance covariance = CovarianceOf(problem, solution, options);
   LoopEstimate loop{
       solution.refinement.T_cand_query,  covariance.covariance, solution.score.num_inliers, {}, {},
       solution.refinement.num_iterations};

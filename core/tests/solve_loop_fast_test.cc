@@ -212,6 +212,9 @@ TEST(SolveLoopFast, AlikeSolutionsAreRejectedWithBoth) {
     EXPECT_TRUE(
         AreDistinct(rejection.solutions[0].T_cand_query, rejection.solutions[1].T_cand_query, {}));
     EXPECT_GE(rejection.solutions[0].num_inliers, 100);
+    for (const LoopSolution& solution : rejection.solutions) {
+      EXPECT_GT(Eigen::SelfAdjointEigenSolver<Matrix6d>(solution.covariance).eigenvalues()(0), 0.0);
+    }
   }
   EXPECT_GE(num_ambiguous, 1);
 }

@@ -16,6 +16,8 @@ from covinz.types import (
     LeaseRequest,
     LoopClosure,
     LoopJob,
+    LoopSolution,
+    MotionResidual,
     Outcome,
     Rejection,
     RigMember,
@@ -79,6 +81,7 @@ def loop_closure_fields(loop: LoopClosure) -> Fields:
         "num_inliers": values.whole(loop.num_inliers, "num_inliers", 0, values.MAX_COUNT),
         "num_matches": values.whole(loop.num_matches, "num_matches", 0, values.MAX_COUNT),
         "solver_ms": values.finite(loop.solver_ms, "solver_ms", low=0.0),
+        "motion_residuals": [_motion_fields(motion) for motion in loop.motion_residuals] or None,
     }
 
 
@@ -94,6 +97,23 @@ def loop_closure(fields: Fields) -> LoopClosure:
         num_inliers=fields["num_inliers"],
         num_matches=fields["num_matches"],
         solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
+        motion_residuals=tuple(_motion(motion) for motion in fields["motion_residuals"] or ()),
+    )
+
+
+def _motion_fields(motion: MotionResidual) -> Fields:
+    return {
+        "from": values.keyframe_id_fields(motion.from_keyframe),
+        "to": values.keyframe_id_fields(motion.to_keyframe),
+        "residual": values.numbers(motion.residual, "residual", 6),
+    }
+
+
+def _motion(fields: Fields) -> MotionResidual:
+    return MotionResidual(
+        values.keyframe_id(fields["from"]),
+        values.keyframe_id(fields["to"]),
+        values.numbers(fields["residual"], "residual", 6),
     )
 
 
@@ -108,6 +128,7 @@ def rejection_fields(rejection: Rejection) -> Fields:
         "threshold": values.finite(rejection.threshold, "threshold"),
         "detail": values.text(rejection.detail, "detail") or None,
         "solver_ms": values.finite(rejection.solver_ms, "solver_ms", low=0.0),
+        "solutions": [_solution_fields(solution) for solution in rejection.solutions] or None,
     }
 
 
@@ -122,6 +143,26 @@ def rejection(fields: Fields) -> Rejection:
         threshold=values.finite(fields["threshold"], "threshold"),
         detail=fields["detail"] or "",
         solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
+        solutions=tuple(_solution(solution) for solution in fields["solutions"] or ()),
+    )
+
+
+def _solution_fields(solution: LoopSolution) -> Fields:
+    return {
+        "pose_cand_query": tuple(poses.pose_values(solution.T_cand_query, "T_cand_query")),
+        "covariance": values.covariance(solution.covariance, "covariance", definite=True),
+        "num_inliers": values.whole(solution.num_inliers, "num_inliers", 0, values.MAX_COUNT),
+        "cost": values.finite(solution.cost, "cost"),
+    }
+
+
+def _solution(fields: Fields) -> LoopSolution:
+    covariance = values.covariance(fields["covariance"], "covariance", definite=True)
+    return LoopSolution(
+        T_cand_query=poses.transforms(fields["pose_cand_query"], "T_cand_query"),
+        covariance=covariance.reshape(6, 6),
+        num_inliers=fields["num_inliers"],
+        cost=values.finite(fields["cost"], "cost"),
     )
 
 

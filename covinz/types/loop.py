@@ -54,6 +54,25 @@ class LoopJob:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MotionResidual:
+    """What the adjustment of a rig found against odometry, for one motion inside it.
+
+    Attributes:
+        from_keyframe: Where the motion begins.
+        to_keyframe: Where it ends; of the same session.
+        residual: (6,) [rotation, translation], in odometry's standard deviations as the solver
+            took them.
+    """
+
+    from_keyframe: KeyframeId
+    to_keyframe: KeyframeId
+    residual: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "residual", frozen_array(self.residual, (6,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopClosure:
     """A verified loop.
 
@@ -64,9 +83,10 @@ class LoopClosure:
         T_cand_query: (4, 4) metric relative pose of the two bodies; the paper's T_cq.
         covariance: (6, 6) of its right perturbation [rotation (rad), translation (m)], in the
             query body frame.
-        num_inliers: Inliers of the 17-point RANSAC.
+        num_inliers: Matches of all pairs together that the pose explains.
         num_matches: Descriptor matches of all pairs together.
         solver_ms: Time of the numeric core for this job.
+        motion_residuals: One for each motion inside the two rigs; empty where rigs are rigid.
     """
 
     job_id: str
@@ -77,6 +97,28 @@ class LoopClosure:
     num_inliers: int
     num_matches: int
     solver_ms: float
+    motion_residuals: tuple[MotionResidual, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_cand_query", frozen_array(self.T_cand_query, (4, 4)))
+        object.__setattr__(self, "covariance", frozen_array(self.covariance, (6, 6)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopSolution:
+    """One of several poses that explain the matches alike.
+
+    Attributes:
+        T_cand_query: (4, 4) as in LoopClosure.
+        covariance: (6, 6) as in LoopClosure, were this the right one.
+        num_inliers: Matches that it explains.
+        cost: -2 log likelihood; only differences within one rejection mean something.
+    """
+
+    T_cand_query: Array
+    covariance: Array
+    num_inliers: int
+    cost: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_cand_query", frozen_array(self.T_cand_query, (4, 4)))
@@ -97,6 +139,7 @@ class Rejection:
         threshold: What would have been enough.
         detail: More for a person, e.g. which pair; may be empty.
         solver_ms: Time of the numeric core for this job.
+        solutions: Of the stage ``ambiguous``: the best solution and the one nearly as good.
     """
 
     job_id: str
@@ -107,6 +150,7 @@ class Rejection:
     threshold: float
     detail: str
     solver_ms: float
+    solutions: tuple[LoopSolution, ...] = ()
 
 
 Outcome = LoopClosure | Rejection

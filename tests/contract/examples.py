@@ -46,7 +46,22 @@ KEYFRAME = types.Keyframe(
 )  # fmt: skip
 GAP = types.Gap("robot_1", OLD, 3, 9, "spool over 1 GiB \N{EM DASH} oldest dropped")
 LOOP = types.LoopClosure(JOB, QUERY, CAND, turn(0.25, 0, -1), COVARIANCE, 142, 611, 17.5)
+FAST_LOOP = dataclasses.replace(
+    LOOP,
+    motion_residuals=(
+        types.MotionResidual(
+            CAND, dataclasses.replace(CAND, seq=CAND.seq + 1), np.linspace(-1, 1.5, 6)
+        ),
+    ),
+)
 REJECTION = types.Rejection(JOB, QUERY, CAND, "pair_inliers", 21.0, 30.0, "pair 1-2", 4.25)
+AMBIGUOUS = types.Rejection(
+    *(JOB, QUERY, CAND, "ambiguous", 1.5, 3.0, "two solutions", 4.25),
+    solutions=(
+        types.LoopSolution(turn(0.25, 0, -1), COVARIANCE, 142, 611.5),
+        types.LoopSolution(turn(0.5, 0.25, -1), COVARIANCE, 139, 618.25),
+    ),
+)
 LOOP_JOB = types.LoopJob(
     JOB,
     tuple(types.RigMember(QUERY, turn(i, 0, 0), HASH) for i in range(2)),
@@ -91,7 +106,9 @@ EXAMPLES: dict[str, Any] = {
     "Lease": types.Lease(LOOP_JOB, "worker-1", 2, 60.0),
     "LoopJob": LOOP_JOB,
     "LoopClosure": LOOP,
+    "LoopClosure-fast": FAST_LOOP,
     "Rejection": REJECTION,
+    "Rejection-ambiguous": AMBIGUOUS,
     "JobDone-loop": types.JobDone("worker-1", LOOP),
     "JobDone-rejection": types.JobDone("worker-1", REJECTION),
     "JobRange": types.JobRange(100),

@@ -94,6 +94,7 @@ struct LoopEstimate {
 // One of several solutions that explain the matches alike.
 struct LoopSolution {
   Eigen::Isometry3d T_cand_query;
+  Matrix6d covariance;  // as in LoopEstimate
   int num_inliers;
   double cost;  // -2 log likelihood
 };

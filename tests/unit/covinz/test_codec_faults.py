@@ -147,7 +147,7 @@ def tables_in(fields: Any, table: Table) -> Iterator[tuple[Table, Any]]:
         if field.kind == "table" and value is not None:
             yield from tables_in(value, TABLES[field.type])
         elif field.kind == "tables":
-            for item in value:
+            for item in value or ():
                 yield from tables_in(item, TABLES[field.type])
         elif field.kind == "union" and value is not None:
             yield from tables_in(value[1], TABLES[value[0]])
