@@ -62,6 +62,14 @@ struct LoopOptions {
   void Check() const;  // throws std::invalid_argument
 };
 
+// Wall time of one stage of a solve: "matching", "pairs" (the paper's pre-filter), "rig" (its
+// 17-point RANSAC and test of scale) or "hypotheses" and "refinement" (the fast profile's, the
+// choice included), "covariance".
+struct StageTime {
+  std::string name;
+  double ms;
+};
+
 struct LoopEstimate {
   Eigen::Isometry3d T_cand_query;  // bodies of the two reference keyframes
   // Right perturbation of T_cand_query in the query body frame, [rotation, translation],
@@ -82,6 +90,8 @@ struct LoopEstimate {
   // Of the fast profile: `covariance` were all errors independent and as large as told, for
   // comparison.
   std::optional<Matrix6d> analytic_covariance = std::nullopt;
+  // In order; the one thing that differs from run to run.
+  std::vector<StageTime> stage_ms = {};
 };
 
 // One of several solutions that explain the matches alike.
@@ -113,6 +123,8 @@ struct LoopRejection {
   double threshold;
   // Of "ambiguous": the best solution, and the one that is nearly as good.
   std::vector<LoopSolution> solutions = {};
+  // In order, up to the stage that failed; differs from run to run.
+  std::vector<StageTime> stage_ms = {};
 };
 
 using LoopResult = std::variant<LoopEstimate, LoopRejection>;
