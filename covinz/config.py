@@ -17,12 +17,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 PositiveInt = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+# Kinds of local features: `covinz.types.FeatureType`.
+FeatureKind = Literal["orb", "sift"]
 M = TypeVar("M", bound=BaseModel)
 ENVIRONMENT_PREFIX = "COVINZ__"
 
@@ -53,7 +55,7 @@ class IngestConfig(Section):
 
     # An upload larger than this is rejected; 1,000 ORB are 36 kB. [bytes]
     max_upload_bytes: PositiveInt = 1024 * 1024
-    # A keyframe with more features is rejected.
+    # A keyframe with more features, of all kinds together, is rejected.
     max_features: PositiveInt = 8192
     # Keyframes committed and acked together (group commit).
     max_batch: PositiveInt = 64
@@ -126,6 +128,8 @@ class MatchingConfig(Section):
     max_ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
     # ORB: largest Hamming distance. [public code: img_match_thres 40 is stricter]
     max_hamming: PositiveInt = 64
+    # SIFT: largest Euclidean distance of bytes, which is at most 724. [public code: 500]
+    max_sift_distance: Positive = 500.0
     # Keep a match only if it is the best in both directions. [docs/paper.md]
     mutual: bool = True
 
@@ -177,6 +181,9 @@ class LoopSolverConfig(Section):
     # Joint estimation and refinement, or COVINS-G as written. [decisions 0019 and 0020]
     profile: Literal["fast", "paper"] = "fast"
     fast: FastLoopConfig = FastLoopConfig()
+    # Kinds of features in use: a job takes the first one that all its keyframes have. [decision
+    # 0022]
+    kinds: Annotated[tuple[FeatureKind, ...], Field(min_length=1)] = ("sift", "orb")
     matching: MatchingConfig = MatchingConfig()
     # Matches in each of the six pairs: fewer cannot hold the inliers asked for next.
     min_pair_matches: PositiveInt = 30
@@ -274,19 +281,46 @@ class KeyframeSelectionConfig(Section):
     rotation_rad: Positive = 0.15
 
 
-class FeatureConfig(Section):
-    """ORB on a grid, so that features cover the image."""
+class SiftConfig(Section):
+    """SIFT on the grid of `FeatureConfig`."""
 
-    # [paper: 1,000 ORB]
+    # As many as ORB.
+    num_features: PositiveInt = 1000
+    # Threshold of contrast, and the one in cells that stay empty. [OpenCV: 0.04; a third of it, as
+    # for ORB]
+    contrast_threshold: Positive = 0.04
+    min_contrast_threshold: Positive = 0.013
+
+
+class FeatureConfig(Section):
+    """Features on a grid, so that they cover the image. `sift` or `[orb, sift]` will do for it."""
+
+    # What is sent, one block for each kind.
+    kinds: Annotated[tuple[FeatureKind, ...], Field(min_length=1)] = ("orb",)
+    # ORB. [paper: 1,000 ORB]
     num_features: PositiveInt = 1000
     # Grid cells along the image's width and height. [rendering study: 8 x 6]
     grid: tuple[PositiveInt, PositiveInt] = (8, 6)
-    # Pyramid. [public code: 1.2, 8 levels]
+    # ORB's pyramid. [public code: 1.2, 8 levels]
     scale_factor: Annotated[float, Field(gt=1)] = 1.2
     num_levels: PositiveInt = 8
     # FAST threshold, and the one tried in cells that stay empty. [public code: 20, 7]
     fast_threshold: PositiveInt = 20
     min_fast_threshold: PositiveInt = 7
+    sift: SiftConfig = SiftConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_kinds(cls, values: Any) -> Any:
+        if isinstance(values, str):
+            return {"kinds": [values]}
+        return {"kinds": values} if isinstance(values, list | tuple) else values
+
+    @model_validator(mode="after")
+    def _check(self) -> FeatureConfig:
+        if len(set(self.kinds)) != len(self.kinds):
+            raise ValueError("a kind of feature is named twice")
+        return self
 
 
 class Config(Section):
