@@ -25,6 +25,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 # Kinds of local features: `covinz.types.FeatureType`.
 FeatureKind = Literal["orb", "sift"]
+# Keyframes of one rig: time grows with the product of both sizes.
+MAX_RIG_SIZE = 5
 M = TypeVar("M", bound=BaseModel)
 ENVIRONMENT_PREFIX = "COVINZ__"
 
@@ -70,6 +72,35 @@ class IngestConfig(Section):
     max_cameras_per_agent: PositiveInt = 256
     # What an agent is told to wait when the inbox is full. [s]
     retry_after_s: Positive = 0.5
+
+
+class RigConfig(Section):
+    """Which keyframes form a rig with the query and with the candidate; source: decision 0021."""
+
+    # The nearest in order of the log, or by geometry; None leaves it to the solver's profile:
+    # `paper` takes the nearest, `fast` chooses. [paper III-B2]
+    neighbours: Literal["index", "geometry"] | None = None
+    # Keyframes of the query's rig, the query among them. [paper III-B2: 2]
+    query_size: Annotated[int, Field(ge=2, le=MAX_RIG_SIZE)] = 2
+    # Keyframes of the candidate's rig, the candidate among them. [paper III-B2: 3]
+    cand_size: Annotated[int, Field(ge=2, le=MAX_RIG_SIZE)] = 3
+    # Distance of the scene where it matters what two cameras share: the near end of what indoor
+    # robots see, since of a distant scene they share more. [m; generated problems: 2 to 15 m]
+    depth_m: Positive = 2.0
+    # Change of a point's viewing direction [rad], or of the logarithm of its distance, that costs
+    # half of the matches. [20 degrees, and two levels of ORB's pyramid; Mikolajczyk and Schmid, "A
+    # performance evaluation of local descriptors", 2005]
+    half_view_change: Positive = 0.35
+    # Cameras in whose view less than this part of the reference's view is form no rig with it if
+    # there are better ones.
+    min_overlap: Annotated[float, Field(ge=0, le=1)] = 0.5
+    # A pair waits for up to two more keyframes of a session if both rigs together would tell the
+    # scale with less information than this: 4 is a standard deviation of half the scale.
+    min_information: NonNegative = 4.0
+    # Keyframes further along the path are not looked at ... [m]
+    max_path_m: NonNegative = 2.0
+    # ... nor those further away in keyframes: bounds the time of a choice.
+    max_steps: Annotated[int, Field(ge=MAX_RIG_SIZE - 1)] = 32
 
 
 class PlaceRecognitionConfig(Section):
@@ -119,6 +150,8 @@ class PlaceRecognitionConfig(Section):
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]
     long_poll_s: Positive = 5.0
+    # The keyframes around query and candidate that are matched with them.
+    rigs: RigConfig = RigConfig()
 
 
 class MatchingConfig(Section):
