@@ -193,6 +193,9 @@ class FastLoopConfig(Section):
     confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
     # Samples of the joint estimation.
     max_iterations: PositiveInt = 1000
+    # Let the direction of gravity propose poses where both robots send it: more loops where most
+    # matches are wrong. [decision 0019]
+    use_verticals: bool = True
     # Hypotheses that are refined. [real images research: five]
     max_refined: PositiveInt = 5
     # The best solution wins against a distinct one with so many standard deviations, or the loop
