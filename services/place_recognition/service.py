@@ -31,8 +31,9 @@ from services.place_recognition.desk import (
     open_desk,
 )
 from services.place_recognition.dispatcher import Dispatcher
-from services.place_recognition.index import load_vocabulary, new_index
+from services.place_recognition.index import load_vocabulary
 from services.place_recognition.journal import Journal
+from services.place_recognition.places import Places
 from services.place_recognition.recognizer import Recognizer
 
 logger = logging.getLogger(__name__)
@@ -76,21 +77,22 @@ def run(context: Context) -> None:
 def recognizer_factory(
     config: Config, camera: Callable[[str], Camera | None]
 ) -> Callable[[], Recognizer]:
-    """Makes empty recognizers; the vocabulary is read once.
+    """Makes empty recognizers; the vocabularies are read once.
 
     Args:
         config: All of it: also the solver's part says what a job is.
         camera: Gives the calibrations of the log's keyframes by their hashes.
 
     Raises:
-        ConfigError: If the vocabulary or the index's options cannot be used.
+        ConfigError: If a vocabulary or an index's options cannot be used.
     """
-    vocabulary = load_vocabulary(config.place_recognition.vocabulary)
-    new_index(config.place_recognition, vocabulary)
+    kinds = config.loop_solver.kinds
+    vocabularies = {kind: load_vocabulary(config.place_recognition, kind) for kind in kinds}
+    Places(config.place_recognition, kinds, vocabularies)
 
     def make() -> Recognizer:
-        index = new_index(config.place_recognition, vocabulary)
-        return Recognizer(config.place_recognition, config.loop_solver, vocabulary, index, camera)
+        places = Places(config.place_recognition, kinds, vocabularies)
+        return Recognizer(config.place_recognition, config.loop_solver, places, camera)
 
     return make
 
