@@ -111,7 +111,9 @@ Solution RefineToTheEnd(const Problem& problem, Solution solution, const FastLoo
                       options.refinement.sigma_px};
     solution = Refine(problem, start, std::numeric_limits<int>::max(),
                       options.refinement.max_num_iterations, options);
-    if (solution.score.num_inliers <= 1.02 * num_inliers) break;
+    const bool converged =
+        solution.refinement.num_iterations < options.refinement.max_num_iterations;
+    if (converged && solution.score.num_inliers <= 1.02 * num_inliers) break;
   }
   return solution;
 }
