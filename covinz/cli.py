@@ -90,7 +90,7 @@ def up(
 def run_scenario(
     scenario: Annotated[Path, typer.Argument(help="Scenario file.", exists=True, dir_okay=False)],
     workers: Annotated[int, typer.Option(min=1, help="Loop-solver processes.")] = 1,
-    profile: Annotated[str, typer.Option(help="Solver profile: paper or fast.")] = "paper",
+    profile: Annotated[str, typer.Option(help="Solver profile: fast or paper.")] = "fast",
     rate: Annotated[
         float | None, typer.Option(min=0.01, help="Play at this multiple of real time.")
     ] = None,

@@ -174,8 +174,8 @@ class LoopSolverConfig(Section):
     limits on the pose.
     """
 
-    # COVINS-G as written, or joint estimation and refinement. [decisions 0019 and 0020]
-    profile: Literal["paper", "fast"] = "paper"
+    # Joint estimation and refinement, or COVINS-G as written. [decisions 0019 and 0020]
+    profile: Literal["fast", "paper"] = "fast"
     fast: FastLoopConfig = FastLoopConfig()
     matching: MatchingConfig = MatchingConfig()
     # Matches in each of the six pairs: fewer cannot hold the inliers asked for next.

@@ -49,7 +49,7 @@ class RunOptions:
     """
 
     workers: int = 1
-    profile: str = "paper"
+    profile: str = "fast"
     rate: float | None = None
     lockstep: bool = False
     seed: int | None = None

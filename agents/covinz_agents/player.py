@@ -250,7 +250,7 @@ def _contents(
     under_way: deque[tuple[Robot, Future[KeyframeContent]]] = deque()
     try:
         for robot, frame in turns:
-            under_way.append((robot, pool.submit(_content, robot.part, frame)))
+            under_way.append((robot, pool.submit(keyframe_content, robot.part, frame)))
             if len(under_way) > _READ_AHEAD:
                 first, future = under_way.popleft()
                 yield first, future.result()
@@ -262,7 +262,8 @@ def _contents(
             future.cancel()
 
 
-def _content(part: Part, frame: Frame) -> KeyframeContent:
+def keyframe_content(part: Part, frame: Frame) -> KeyframeContent:
+    """What a robot measures in one of its frames; raises DatasetError as its source."""
     return KeyframeContent(
         frame.stamp_ns,
         frame.T_odom_body,

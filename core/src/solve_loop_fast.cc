@@ -11,6 +11,7 @@
 #include "covinz/planar_twin.h"
 #include "covinz/rig_tracks.h"
 #include "matched_rigs.h"
+#include "stage_clock.h"
 
 namespace covinz {
 namespace {
@@ -138,8 +139,18 @@ std::vector<Solution> RefineHypotheses(const Problem& problem,
   return solutions;
 }
 
-LoopSolution Report(const Solution& solution) {
-  return {solution.refinement.T_cand_query, solution.score.num_inliers, solution.score.cost};
+RefinementCovariance CovarianceOf(const Problem& problem,
+                                  const Solution& solution,
+                                  const FastLoopOptions& options) {
+  return EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
+                                      solution.refinement, options.refinement, options.covariance);
+}
+
+LoopSolution Report(const Problem& problem,
+                    const Solution& solution,
+                    const FastLoopOptions& options) {
+  return {solution.refinement.T_cand_query, CovarianceOf(problem, solution, options).covariance,
+          solution.score.num_inliers, solution.score.cost};
 }
 
 // The best solution's twin, were the scene flat, refined to the end: no sampling is sure to find
@@ -204,7 +215,7 @@ std::optional<LoopRejection> CheckUnambiguous(const Problem& problem,
         Significance(problem.matched.rigs, best.score, other.score, options.selection);
     if (ahead >= options.selection.min_significance) continue;
     LoopRejection rejection{"ambiguous", std::nullopt, ahead, options.selection.min_significance};
-    rejection.solutions = {Report(best), Report(other)};
+    rejection.solutions = {Report(problem, best, options), Report(problem, other, options)};
     return rejection;
   }
   return std::nullopt;
@@ -230,9 +241,7 @@ std::optional<LoopRejection> CheckPlausible(const LoopEstimate& loop,
 LoopEstimate MakeEstimate(const Problem& problem,
                           const Solution& solution,
                           const FastLoopOptions& options) {
-  const RefinementCovariance covariance =
-      EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
-                                   solution.refinement, options.refinement, options.covariance);
+  const RefinementCovariance covariance = CovarianceOf(problem, solution, options);
   LoopEstimate loop{
       solution.refinement.T_cand_query,  covariance.covariance, solution.score.num_inliers, {}, {},
       solution.refinement.num_iterations};
@@ -246,14 +255,16 @@ LoopEstimate MakeEstimate(const Problem& problem,
   return loop;
 }
 
-LoopResult Estimate(const Problem& problem, const FastLoopOptions& options) {
+LoopResult Estimate(const Problem& problem, const FastLoopOptions& options, StageClock& clock) {
   const double min_num_inliers = static_cast<double>(options.min_num_inliers);
-  const std::vector<Solution> solutions = RefineContenders(
-      problem,
-      RefineHypotheses(
-          problem, EstimateRigHypotheses(problem.matched.rigs, options.hypotheses, options.seed),
-          options),
-      options);
+  clock.Start("hypotheses");
+  RigHypothesisOptions hypothesis_options = options.hypotheses;
+  hypothesis_options.instruction_set = options.instruction_set;
+  const std::vector<RigHypothesis> hypotheses =
+      EstimateRigHypotheses(problem.matched.rigs, hypothesis_options, options.seed);
+  clock.Start("refinement");
+  const std::vector<Solution> solutions =
+      RefineContenders(problem, RefineHypotheses(problem, hypotheses, options), options);
   const int num_inliers = solutions.empty() ? 0 : solutions[0].score.num_inliers;
   if (num_inliers < options.min_num_inliers || solutions.empty()) {
     return LoopRejection{"rig_inliers", std::nullopt, static_cast<double>(num_inliers),
@@ -262,9 +273,32 @@ LoopResult Estimate(const Problem& problem, const FastLoopOptions& options) {
   if (std::optional<LoopRejection> rejection = CheckUnambiguous(problem, solutions, options)) {
     return *rejection;
   }
+  clock.Start("covariance");
   const LoopEstimate loop = MakeEstimate(problem, solutions[0], options);
   if (std::optional<LoopRejection> rejection = CheckPlausible(loop, options)) return *rejection;
   return loop;
+}
+
+LoopResult Solve(const LoopRig& query,
+                 const LoopRig& cand,
+                 const FastLoopOptions& options,
+                 StageClock& clock) {
+  Problem problem{{}, RigOf(query), RigOf(cand)};
+  problem.query.Check();
+  problem.cand.Check();
+  clock.Start("matching");
+  problem.matched =
+      MatchRigs(query.cameras, cand.cameras, options.matching, options.instruction_set);
+  const double baseline_m = LongestBaseline_m(problem.matched.rigs);
+  if (baseline_m < options.min_baseline_m) {
+    return LoopRejection{"degenerate", std::nullopt, baseline_m, options.min_baseline_m};
+  }
+  const int num_matches = static_cast<int>(problem.matched.rigs.NumMatches());
+  if (num_matches < options.min_num_inliers) {
+    return LoopRejection{"matches", std::nullopt, static_cast<double>(num_matches),
+                         static_cast<double>(options.min_num_inliers)};
+  }
+  return Estimate(problem, options, clock);
 }
 
 }  // namespace
@@ -293,20 +327,10 @@ LoopResult SolveLoopFast(const LoopRig& query,
                          const LoopRig& cand,
                          const FastLoopOptions& options) {
   options.Check();
-  Problem problem{{}, RigOf(query), RigOf(cand)};
-  problem.query.Check();
-  problem.cand.Check();
-  problem.matched = MatchRigs(query.cameras, cand.cameras, options.matching);
-  const double baseline_m = LongestBaseline_m(problem.matched.rigs);
-  if (baseline_m < options.min_baseline_m) {
-    return LoopRejection{"degenerate", std::nullopt, baseline_m, options.min_baseline_m};
-  }
-  const int num_matches = static_cast<int>(problem.matched.rigs.NumMatches());
-  if (num_matches < options.min_num_inliers) {
-    return LoopRejection{"matches", std::nullopt, static_cast<double>(num_matches),
-                         static_cast<double>(options.min_num_inliers)};
-  }
-  return Estimate(problem, options);
+  StageClock clock;
+  LoopResult result = Solve(query, cand, options, clock);
+  std::visit([&clock](auto& value) { value.stage_ms = clock.Times(); }, result);
+  return result;
 }
 
 }  // namespace covinz

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
+
+from numpy.typing import ArrayLike, NDArray
 
 from covinz.codec import poses, values
 from covinz.codec.reader import Fields
@@ -16,6 +18,8 @@ from covinz.types import (
     LeaseRequest,
     LoopClosure,
     LoopJob,
+    LoopSolution,
+    MotionResidual,
     Outcome,
     Rejection,
     RigMember,
@@ -30,19 +34,29 @@ def _member_fields(member: RigMember) -> Fields:
         "keyframe": values.keyframe_id_fields(member.keyframe),
         "pose_odom_body": tuple(poses.pose_values(member.T_odom_body, "T_odom_body")),
         "camera_hash": values.text(member.camera_hash, "camera_hash", values.CAMERA_HASH),
+        "motion_covariance": _motion_covariance(member.motion_covariance),
     }
+
+
+def _motion_covariance(covariance: ArrayLike | None) -> NDArray[Any] | None:
+    if covariance is None:
+        return None
+    return values.covariance(covariance, "motion_covariance", definite=True)
 
 
 def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
     if not members:
         raise ValueError("a rig is empty")
-    return tuple(
-        RigMember(
-            values.keyframe_id(member["keyframe"]),
-            poses.transforms(member["pose_odom_body"], "T_odom_body"),
-            values.text(member["camera_hash"], "camera_hash", values.CAMERA_HASH),
-        )
-        for member in members
+    return tuple(_member(member) for member in members)
+
+
+def _member(fields: Fields) -> RigMember:
+    covariance = _motion_covariance(fields["motion_covariance"])
+    return RigMember(
+        values.keyframe_id(fields["keyframe"]),
+        poses.transforms(fields["pose_odom_body"], "T_odom_body"),
+        values.text(fields["camera_hash"], "camera_hash", values.CAMERA_HASH),
+        None if covariance is None else covariance.reshape(6, 6),
     )
 
 
@@ -79,6 +93,7 @@ def loop_closure_fields(loop: LoopClosure) -> Fields:
         "num_inliers": values.whole(loop.num_inliers, "num_inliers", 0, values.MAX_COUNT),
         "num_matches": values.whole(loop.num_matches, "num_matches", 0, values.MAX_COUNT),
         "solver_ms": values.finite(loop.solver_ms, "solver_ms", low=0.0),
+        "motion_residuals": [_motion_fields(motion) for motion in loop.motion_residuals] or None,
     }
 
 
@@ -94,6 +109,23 @@ def loop_closure(fields: Fields) -> LoopClosure:
         num_inliers=fields["num_inliers"],
         num_matches=fields["num_matches"],
         solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
+        motion_residuals=tuple(_motion(motion) for motion in fields["motion_residuals"] or ()),
+    )
+
+
+def _motion_fields(motion: MotionResidual) -> Fields:
+    return {
+        "from": values.keyframe_id_fields(motion.from_keyframe),
+        "to": values.keyframe_id_fields(motion.to_keyframe),
+        "residual": values.numbers(motion.residual, "residual", 6),
+    }
+
+
+def _motion(fields: Fields) -> MotionResidual:
+    return MotionResidual(
+        values.keyframe_id(fields["from"]),
+        values.keyframe_id(fields["to"]),
+        values.numbers(fields["residual"], "residual", 6),
     )
 
 
@@ -108,6 +140,7 @@ def rejection_fields(rejection: Rejection) -> Fields:
         "threshold": values.finite(rejection.threshold, "threshold"),
         "detail": values.text(rejection.detail, "detail") or None,
         "solver_ms": values.finite(rejection.solver_ms, "solver_ms", low=0.0),
+        "solutions": [_solution_fields(solution) for solution in rejection.solutions] or None,
     }
 
 
@@ -122,6 +155,26 @@ def rejection(fields: Fields) -> Rejection:
         threshold=values.finite(fields["threshold"], "threshold"),
         detail=fields["detail"] or "",
         solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
+        solutions=tuple(_solution(solution) for solution in fields["solutions"] or ()),
+    )
+
+
+def _solution_fields(solution: LoopSolution) -> Fields:
+    return {
+        "pose_cand_query": tuple(poses.pose_values(solution.T_cand_query, "T_cand_query")),
+        "covariance": values.covariance(solution.covariance, "covariance", definite=True),
+        "num_inliers": values.whole(solution.num_inliers, "num_inliers", 0, values.MAX_COUNT),
+        "cost": values.finite(solution.cost, "cost"),
+    }
+
+
+def _solution(fields: Fields) -> LoopSolution:
+    covariance = values.covariance(fields["covariance"], "covariance", definite=True)
+    return LoopSolution(
+        T_cand_query=poses.transforms(fields["pose_cand_query"], "T_cand_query"),
+        covariance=covariance.reshape(6, 6),
+        num_inliers=fields["num_inliers"],
+        cost=values.finite(fields["cost"], "cost"),
     )
 
 

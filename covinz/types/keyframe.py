@@ -86,6 +86,24 @@ class Features:
         return len(self.keypoints_px)
 
 
+def feature_blocks(
+    features: Features | None, more_features: tuple[Features, ...]
+) -> tuple[Features, ...]:
+    """All features of a keyframe, one block for each kind.
+
+    Raises:
+        ValueError: If a kind is there twice, or further kinds without a first one.
+    """
+    if features is None:
+        if more_features:
+            raise ValueError("more_features without features")
+        return ()
+    blocks = (features, *more_features)
+    if len({block.type for block in blocks}) != len(blocks):
+        raise ValueError("more_features: a kind of feature is there twice")
+    return blocks
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeContent:
     """What a front-end measures for one keyframe, before the agent gives it an id.
@@ -100,6 +118,7 @@ class KeyframeContent:
             frame.
         gravity_body: Optional (3,) unit direction of gravity in the body frame.
         thumbnail_jpeg: Optional small picture for viewers.
+        more_features: Features of further kinds of the same image; no kind twice.
     """
 
     stamp_ns: int
@@ -109,13 +128,18 @@ class KeyframeContent:
     covariance: Array | None = None
     gravity_body: Array | None = None
     thumbnail_jpeg: bytes | None = None
+    more_features: tuple[Features, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "more_features", tuple(self.more_features))
+        feature_blocks(self.features, self.more_features)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
     """A keyframe as it is logged; fields as in `KeyframeContent`.
 
-    `features` is None in the log's ``pose`` view, which leaves them out.
+    `features` is None in the log's ``pose`` view, which leaves all features out.
     """
 
     id: KeyframeId
@@ -126,13 +150,25 @@ class Keyframe:
     covariance: Array | None = None
     gravity_body: Array | None = None
     thumbnail_jpeg: bytes | None = None
+    more_features: tuple[Features, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "more_features", tuple(self.more_features))
+        feature_blocks(self.features, self.more_features)
         object.__setattr__(self, "T_odom_body", frozen_array(self.T_odom_body, (4, 4)))
         if self.covariance is not None:
             object.__setattr__(self, "covariance", frozen_array(self.covariance, (6, 6)))
         if self.gravity_body is not None:
             object.__setattr__(self, "gravity_body", frozen_array(self.gravity_body, (3,)))
+
+    @property
+    def all_features(self) -> tuple[Features, ...]:
+        """Its features, one block for each kind."""
+        return feature_blocks(self.features, self.more_features)
+
+    def features_of(self, kind: FeatureType) -> Features | None:
+        """Its features of one kind."""
+        return next((block for block in self.all_features if block.type is kind), None)
 
 
 @dataclass(frozen=True, slots=True)

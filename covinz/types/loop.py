@@ -10,14 +10,27 @@ from covinz.types.identity import Array, KeyframeId, frozen_array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigMember:
-    """One camera of a rig: a keyframe, its odometry pose and its calibration."""
+    """One camera of a rig.
+
+    Attributes:
+        keyframe: Its keyframe.
+        T_odom_body: (4, 4) odometry pose of the keyframe.
+        camera_hash: Its calibration.
+        motion_covariance: (6, 6) of odometry's motion to this keyframe from the rig's previous one
+            in order of time: right perturbation [rotation (rad), translation (m)], in this body
+            frame. None for the earliest, and where nobody said.
+    """
 
     keyframe: KeyframeId
     T_odom_body: Array
     camera_hash: str
+    motion_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_odom_body", frozen_array(self.T_odom_body, (4, 4)))
+        if self.motion_covariance is not None:
+            covariance = frozen_array(self.motion_covariance, (6, 6))
+            object.__setattr__(self, "motion_covariance", covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +38,7 @@ class LoopJob:
     """A candidate pair to verify; self-contained and fixed when it is created.
 
     Attributes:
-        id: 32 hex digits: hash of query, candidate, solver configuration and vocabulary.
+        id: 32 hex digits: hash of query, candidate, configuration (solver, rigs) and vocabulary.
         query_rig: S_q of the paper; the first member is the query keyframe.
         cand_rig: S_c of the paper; the first member is the candidate keyframe.
         score: Place-recognition score of the candidate.
@@ -54,6 +67,25 @@ class LoopJob:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MotionResidual:
+    """What the adjustment of a rig found against odometry, for one motion inside it.
+
+    Attributes:
+        from_keyframe: Where the motion begins.
+        to_keyframe: Where it ends; of the same session.
+        residual: (6,) [rotation, translation], in odometry's standard deviations as the solver
+            took them.
+    """
+
+    from_keyframe: KeyframeId
+    to_keyframe: KeyframeId
+    residual: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "residual", frozen_array(self.residual, (6,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopClosure:
     """A verified loop.
 
@@ -64,9 +96,10 @@ class LoopClosure:
         T_cand_query: (4, 4) metric relative pose of the two bodies; the paper's T_cq.
         covariance: (6, 6) of its right perturbation [rotation (rad), translation (m)], in the
             query body frame.
-        num_inliers: Inliers of the 17-point RANSAC.
+        num_inliers: Matches of all pairs together that the pose explains.
         num_matches: Descriptor matches of all pairs together.
         solver_ms: Time of the numeric core for this job.
+        motion_residuals: One for each motion inside the two rigs; empty where rigs are rigid.
     """
 
     job_id: str
@@ -77,6 +110,28 @@ class LoopClosure:
     num_inliers: int
     num_matches: int
     solver_ms: float
+    motion_residuals: tuple[MotionResidual, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_cand_query", frozen_array(self.T_cand_query, (4, 4)))
+        object.__setattr__(self, "covariance", frozen_array(self.covariance, (6, 6)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopSolution:
+    """One of several poses that explain the matches alike.
+
+    Attributes:
+        T_cand_query: (4, 4) as in LoopClosure.
+        covariance: (6, 6) as in LoopClosure, were this the right one.
+        num_inliers: Matches that it explains.
+        cost: -2 log likelihood; only differences within one rejection mean something.
+    """
+
+    T_cand_query: Array
+    covariance: Array
+    num_inliers: int
+    cost: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_cand_query", frozen_array(self.T_cand_query, (4, 4)))
@@ -97,6 +152,7 @@ class Rejection:
         threshold: What would have been enough.
         detail: More for a person, e.g. which pair; may be empty.
         solver_ms: Time of the numeric core for this job.
+        solutions: Of the stage ``ambiguous``: the best solution and the one nearly as good.
     """
 
     job_id: str
@@ -107,6 +163,7 @@ class Rejection:
     threshold: float
     detail: str
     solver_ms: float
+    solutions: tuple[LoopSolution, ...] = ()
 
 
 Outcome = LoopClosure | Rejection

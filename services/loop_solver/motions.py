@@ -37,9 +37,8 @@ def rig_motions(
     Raises:
         KeyframeNotFound, CameraNotFound, StoreUnavailable: From the store.
     """
-    order = sorted(range(len(members)), key=lambda i: members[i].keyframe.seq)
     motions = []
-    for earlier, later in pairwise(order):
+    for earlier, later in consecutive(members):
         a, b = members[earlier], members[later]
         T_a_b = frames.inverse(a.T_odom_body) @ b.T_odom_body
         adjacent = b.keyframe.seq == a.keyframe.seq + 1
@@ -50,6 +49,12 @@ def rig_motions(
         seen = to_camera @ covariance @ to_camera.T
         motions.append(covinz_core.RigMotion(earlier, later, 0.5 * (seen + seen.T)))
     return motions
+
+
+def consecutive(members: Sequence[RigMember]) -> list[tuple[int, int]]:
+    """Positions of the members of a rig that follow one another in time, earlier and later."""
+    order = sorted(range(len(members)), key=lambda i: members[i].keyframe.seq)
+    return list(pairwise(order))
 
 
 def random_walk(T_a_b: Array, noise: OdometryNoise) -> Array:

@@ -15,8 +15,8 @@ import numpy as np
 from covinz import frames
 from covinz.config import LoopSolverConfig
 from covinz.keyframes import CameraNotFound, KeyframeNotFound, KeyframeStore
-from covinz.types import LoopClosure, LoopJob, Outcome, Rejection
-from services.loop_solver.motions import rig_motions
+from covinz.types import LoopClosure, LoopJob, LoopSolution, MotionResidual, Outcome, Rejection
+from services.loop_solver.motions import consecutive, rig_motions
 from services.loop_solver.rig import build_rig
 
 Result = covinz_core.LoopEstimate | covinz_core.LoopRejection
@@ -48,7 +48,7 @@ class LoopSolver:
             StoreUnavailable: If the keyframes cannot be had now; nothing is decided.
         """
         try:
-            verify = self._prepared(job)
+            verify = self.prepared(job)
         except KeyframeNotFound as error:
             return _rejection(job, "keyframe_missing", str(error))
         except CameraNotFound as error:
@@ -63,8 +63,13 @@ class LoopSolver:
             return _rejection(job, "error", str(error))
         return _outcome(job, result, 1e3 * (self._clock_s() - start_s))
 
-    def _prepared(self, job: LoopJob) -> Callable[[], Result]:
-        """Everything fetched: what is left is the numeric core's part."""
+    def prepared(self, job: LoopJob) -> Callable[[], Result]:
+        """The numeric core's part of a job, everything fetched and ready to be called.
+
+        Raises:
+            KeyframeNotFound, CameraNotFound, StoreUnavailable: From the store.
+            ValueError: If the rigs cannot be formed of what the keyframes contain.
+        """
         config, store = self._config, self._store
         query, cand = build_rig(job.query_rig, store), build_rig(job.cand_rig, store)
         if config.profile == "paper":
@@ -143,6 +148,10 @@ def _outcome(job: LoopJob, result: Result, solver_ms: float) -> Outcome:
             threshold=result.threshold,
             detail=_detail(job, result),
             solver_ms=solver_ms,
+            solutions=tuple(
+                LoopSolution(found.T_cand_query, found.covariance, found.num_inliers, found.cost)
+                for found in result.solutions
+            ),
         )
     return LoopClosure(
         job_id=job.id,
@@ -153,6 +162,22 @@ def _outcome(job: LoopJob, result: Result, solver_ms: float) -> Outcome:
         num_inliers=result.num_inliers,
         num_matches=sum(result.num_matches),
         solver_ms=solver_ms,
+        motion_residuals=_motion_residuals(job, result),
+    )
+
+
+def _motion_residuals(job: LoopJob, loop: covinz_core.LoopEstimate) -> tuple[MotionResidual, ...]:
+    """The core's residuals by keyframes; none where it took the rigs as rigid."""
+    if not loop.motion_residuals:
+        return ()
+    ends = [
+        (rig[earlier].keyframe, rig[later].keyframe)
+        for rig in (job.cand_rig, job.query_rig)
+        for earlier, later in consecutive(rig)
+    ]
+    return tuple(
+        MotionResidual(*names, residual)
+        for names, residual in zip(ends, loop.motion_residuals, strict=True)
     )
 
 

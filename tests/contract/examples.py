@@ -46,12 +46,34 @@ KEYFRAME = types.Keyframe(
 )  # fmt: skip
 GAP = types.Gap("robot_1", OLD, 3, 9, "spool over 1 GiB \N{EM DASH} oldest dropped")
 LOOP = types.LoopClosure(JOB, QUERY, CAND, turn(0.25, 0, -1), COVARIANCE, 142, 611, 17.5)
+FAST_LOOP = dataclasses.replace(
+    LOOP,
+    motion_residuals=(
+        types.MotionResidual(
+            CAND, dataclasses.replace(CAND, seq=CAND.seq + 1), np.linspace(-1, 1.5, 6)
+        ),
+    ),
+)
 REJECTION = types.Rejection(JOB, QUERY, CAND, "pair_inliers", 21.0, 30.0, "pair 1-2", 4.25)
+AMBIGUOUS = types.Rejection(
+    *(JOB, QUERY, CAND, "ambiguous", 1.5, 3.0, "two solutions", 4.25),
+    solutions=(
+        types.LoopSolution(turn(0.25, 0, -1), COVARIANCE, 142, 611.5),
+        types.LoopSolution(turn(0.5, 0.25, -1), COVARIANCE, 139, 618.25),
+    ),
+)
 LOOP_JOB = types.LoopJob(
     JOB,
     tuple(types.RigMember(QUERY, turn(i, 0, 0), HASH) for i in range(2)),
     tuple(types.RigMember(CAND, turn(0, i, 0), HASH) for i in range(3)),
     38.25,
+)
+RIG_MOTION_JOB = dataclasses.replace(
+    LOOP_JOB,
+    query_rig=(
+        dataclasses.replace(LOOP_JOB.query_rig[0], motion_covariance=COVARIANCE),
+        *LOOP_JOB.query_rig[1:],
+    ),
 )
 SUMMARY = types.MapSummary(
     OLD, 12, (SegmentId("robot_1", OLD), SegmentId("robot-2", NEW)), 3, 1
@@ -90,8 +112,11 @@ EXAMPLES: dict[str, Any] = {
     "LeaseRequest": types.LeaseRequest("worker-1"),
     "Lease": types.Lease(LOOP_JOB, "worker-1", 2, 60.0),
     "LoopJob": LOOP_JOB,
+    "LoopJob-motions": RIG_MOTION_JOB,
     "LoopClosure": LOOP,
+    "LoopClosure-fast": FAST_LOOP,
     "Rejection": REJECTION,
+    "Rejection-ambiguous": AMBIGUOUS,
     "JobDone-loop": types.JobDone("worker-1", LOOP),
     "JobDone-rejection": types.JobDone("worker-1", REJECTION),
     "JobRange": types.JobRange(100),

@@ -14,7 +14,7 @@ from covinz.config import (
     OptimizerConfig,
     PlaceRecognitionConfig,
 )
-from services.loop_solver.solver import loop_options
+from services.loop_solver.solver import fast_loop_options, loop_options
 
 
 def fields(options: Any, prefix: str = "") -> dict[str, Any]:
@@ -33,8 +33,14 @@ def fields(options: Any, prefix: str = "") -> dict[str, Any]:
 
 def test_loop_options() -> None:
     core = covinz_core.LoopOptions()
-    assert fields(loop_options(LoopSolverConfig(), core.seed)) == fields(core)
+    assert fields(loop_options(LoopSolverConfig(profile="paper"), core.seed)) == fields(core)
     assert {"matching.max_ratio", "scale.max_error_px", "min_baseline_m"} < fields(core).keys()
+
+
+def test_fast_loop_options() -> None:
+    core = covinz_core.FastLoopOptions()
+    assert fields(fast_loop_options(LoopSolverConfig(), core.seed)) == fields(core)
+    assert {"matching.max_ratio", "hypotheses.max_error_px"} < fields(core).keys()
 
 
 def test_a_loop_is_never_surer_than_an_odometry_edge() -> None:

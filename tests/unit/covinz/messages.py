@@ -105,9 +105,18 @@ def log_pages(draw: st.DrawFn) -> types.LogPage:
 
 
 rigs = st.lists(
-    st.builds(types.RigMember, keyframe_ids, poses, hashes), min_size=1, max_size=3
+    st.builds(types.RigMember, keyframe_ids, poses, hashes, st.none() | covariances),
+    min_size=1,
+    max_size=3,
 ).map(tuple)
 loop_jobs = st.builds(types.LoopJob, job_ids, rigs, rigs, finite)
+motion_residuals = st.builds(
+    types.MotionResidual,
+    keyframe_ids,
+    keyframe_ids,
+    st.lists(finite, min_size=6, max_size=6).map(np.array),
+)
+solutions = st.builds(types.LoopSolution, poses, covariances, small_counts, finite)
 loop_closures = st.builds(
     types.LoopClosure,
     job_ids,
@@ -118,9 +127,19 @@ loop_closures = st.builds(
     small_counts,
     small_counts,
     durations,
+    st.lists(motion_residuals, max_size=3).map(tuple),
 )
 rejections = st.builds(
-    types.Rejection, job_ids, keyframe_ids, keyframe_ids, codes, finite, finite, texts, durations
+    types.Rejection,
+    job_ids,
+    keyframe_ids,
+    keyframe_ids,
+    codes,
+    finite,
+    finite,
+    texts,
+    durations,
+    st.lists(solutions, max_size=2).map(tuple),
 )
 outcomes = loop_closures | rejections
 records = st.builds(

@@ -147,7 +147,7 @@ def tables_in(fields: Any, table: Table) -> Iterator[tuple[Table, Any]]:
         if field.kind == "table" and value is not None:
             yield from tables_in(value, TABLES[field.type])
         elif field.kind == "tables":
-            for item in value:
+            for item in value or ():
                 yield from tables_in(item, TABLES[field.type])
         elif field.kind == "union" and value is not None:
             yield from tables_in(value[1], TABLES[value[0]])
@@ -270,6 +270,9 @@ BAD_FIELDS: list[tuple[str, Callable[[Any], None]]] = [
     ("LoopJob", put("cand_rig", [])),
     ("LoopJob", put("score", NAN)),
     ("LoopJob", put("cand_rig", 0, "camera_hash", "")),
+    ("LoopJob-motions", put("query_rig", 0, "motion_covariance", np.zeros(36))),
+    ("LoopJob-motions", put("query_rig", 0, "motion_covariance", np.eye(6).ravel()[:35])),
+    ("LoopJob-motions", put("query_rig", 0, "motion_covariance", {7: NAN})),
     ("LoopClosure", put("covariance", np.zeros(36))),
     ("LoopClosure", put("covariance", {35: -1.0})),
     ("LoopClosure", put("solver_ms", -1.0)),

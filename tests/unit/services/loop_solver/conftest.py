@@ -99,7 +99,8 @@ def _body_poses(rng: np.random.Generator, count: int, shift_m: Array) -> list[Ar
     return poses
 
 
-def build_room(num_points: int = 700, seed: int = 5) -> Room:
+def build_room(num_points: int = 700, seed: int = 5, moved_m: float = 0.0) -> Room:
+    """Every other point has moved by so much when the second robot comes."""
     rng = np.random.default_rng(seed)
     points = rng.uniform([-4, -3, 3], [4, 3, 8], (num_points, 3))
     descriptors = rng.integers(0, 256, (num_points, 32), dtype=np.uint8)
@@ -107,6 +108,8 @@ def build_room(num_points: int = 700, seed: int = 5) -> Room:
     members: dict[str, list[RigMember]] = {"a": [], "b": []}
     truth: dict[str, Array] = {}
     for agent, count, shift in (("a", 2, [0.3, -0.2, 0.1]), ("b", 3, [0.0, 0.0, 0.0])):
+        if agent == "b":
+            points[::2, 0] += moved_m
         T_odom_world = transform(so3_exp(rng.normal(size=3)), rng.normal(scale=5.0, size=3))
         for seq, T_world_body in enumerate(_body_poses(rng, count, np.array(shift))):
             kf = Keyframe(
@@ -128,6 +131,12 @@ def build_room(num_points: int = 700, seed: int = 5) -> Room:
 @pytest.fixture
 def room() -> Room:
     return build_room()
+
+
+@pytest.fixture
+def torn_room() -> Room:
+    """Half of the points have moved: two poses are equally good."""
+    return build_room(moved_m=1.0)
 
 
 @pytest.fixture

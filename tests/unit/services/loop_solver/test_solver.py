@@ -14,7 +14,7 @@ from covinz.types import Camera, LoopClosure, Outcome, Rejection
 from services.loop_solver.rig import BadRig, build_rig
 from services.loop_solver.solver import LoopSolver, loop_options
 
-CONFIG = LoopSolverConfig()
+CONFIG = LoopSolverConfig(profile="paper")
 
 
 def solve(room: Any, config: LoopSolverConfig = CONFIG) -> Outcome:
@@ -95,15 +95,15 @@ def test_the_detail_names_the_pair_that_failed(room: Any) -> None:
 
 def test_every_threshold_reaches_the_core(room: Any) -> None:
     strict = {
-        "matches": LoopSolverConfig(min_pair_matches=5000),
-        "pair_inliers": LoopSolverConfig(min_pair_inliers=5000),
-        "rig_inliers": LoopSolverConfig(min_rig_inliers=5000),
-        "covariance": LoopSolverConfig(max_covariance_error_px=1e-6),
-        "uncertainty": LoopSolverConfig(max_covariance_trace=1e-12),
-        "scale": LoopSolverConfig(max_common_centre_ratio=0.001),
-        "degenerate": LoopSolverConfig(min_baseline_m=50.0),
-        "translation": LoopSolverConfig(max_translation_m=0.01),
-        "rotation": LoopSolverConfig(max_rotation_rad=0.001),
+        "matches": LoopSolverConfig(profile="paper", min_pair_matches=5000),
+        "pair_inliers": LoopSolverConfig(profile="paper", min_pair_inliers=5000),
+        "rig_inliers": LoopSolverConfig(profile="paper", min_rig_inliers=5000),
+        "covariance": LoopSolverConfig(profile="paper", max_covariance_error_px=1e-6),
+        "uncertainty": LoopSolverConfig(profile="paper", max_covariance_trace=1e-12),
+        "scale": LoopSolverConfig(profile="paper", max_common_centre_ratio=0.001),
+        "degenerate": LoopSolverConfig(profile="paper", min_baseline_m=50.0),
+        "translation": LoopSolverConfig(profile="paper", max_translation_m=0.01),
+        "rotation": LoopSolverConfig(profile="paper", max_rotation_rad=0.001),
     }
     for stage, config in strict.items():
         outcome = solve(room, config)
@@ -113,6 +113,7 @@ def test_every_threshold_reaches_the_core(room: Any) -> None:
 
 def test_every_option_is_passed_on() -> None:
     config = LoopSolverConfig(
+        profile="paper",
         matching=MatchingConfig(max_ratio=0.71, max_hamming=33, mutual=False),
         max_error_px=1.5,
         confidence=0.95,
