@@ -29,7 +29,6 @@ DESCRIPTOR_BYTES = 32
 T_BODY_CAM = frames.transform(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.05, 0.03, -0.02]
 )
-_MATCHES = (900, 1600)
 # A keyframe finds a landmark in its view again with this probability.
 _REPEATABILITY = 0.7
 # Flipped bits of one observation; two of the same landmark differ by 10 to 54 of 256 bits.
@@ -38,6 +37,11 @@ _BIT_FLIPS = (0.02, 0.12)
 _ODOMETRY_SIGMA_M = 0.01 / np.sqrt(3)
 _ODOMETRY_SIGMA_RAD = np.deg2rad(0.2) / np.sqrt(3)
 _PROPOSALS = 20_000
+# Size of a spot of landmarks, and waves that make up a shared error.
+_SPOT_PX = 40.0
+_WAVES = 64
+# How much worse than told a motion of the odometry's tail is.
+_TAIL = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +59,15 @@ class Condition:
         loop_yaw_rad: Largest yaw between them.
         depth_m: Range of the depths of landmarks.
         forward: Rigs and loop lie close to one line, the optical axis.
+        matches: Range of the number of matches of all pairs together, wrong ones included.
+        wall_relief_m: All landmarks lie about so far before or behind a wall that the reference
+            camera of the query faces; None for landmarks anywhere in `depth_m`.
+        clusters: Landmarks lie in so many spots of the image; 0 for anywhere.
+        shared_px: Standard deviation of the error that neighbouring keypoints of an image share.
+        shared_length_px: Distance over which it fades.
+        tail_share: Motions of the odometry that are five times as wrong as told.
+        pitch_m: Wrong matches take a structure that repeats for its own copy this far away, all in
+            one direction, so that they agree on one wrong loop; None for wrong ones of all kinds.
     """
 
     noise_px: float = 1.0
@@ -67,6 +80,13 @@ class Condition:
     loop_yaw_rad: float = np.deg2rad(25)
     depth_m: tuple[float, float] = (2.0, 15.0)
     forward: bool = False
+    matches: tuple[float, float] = (900, 1600)
+    wall_relief_m: float | None = None
+    clusters: int = 0
+    shared_px: float = 0.0
+    shared_length_px: float = 120.0
+    tail_share: float = 0.0
+    pitch_m: float | None = None
 
 
 _DEFAULT = Condition()
@@ -84,6 +104,33 @@ CONDITIONS: Mapping[str, Condition] = {
     "forward": replace(_DEFAULT, forward=True, loop_yaw_rad=np.deg2rad(3)),
     # The rigs turn on the spot, so nothing tells how long the loop is.
     "pure_rotation": replace(_DEFAULT, step_m=(0.0, 0.0), step_turn_rad=np.deg2rad(8)),
+}
+
+# What real images have and the ordinary problems lack. A hand-held camera in a room: short steps,
+# fewer matches, in spots, whose errors are not white, and an odometry that is sometimes much worse
+# than it says.
+_ROOM = replace(
+    _DEFAULT,
+    outlier_share=0.4,
+    step_m=(0.1, 0.25),
+    step_turn_rad=np.deg2rad(6),
+    loop_m=(0.1, 0.7),
+    depth_m=(1.5, 4.0),
+    matches=(250, 500),
+    clusters=15,
+    shared_px=0.5,
+    tail_share=0.1,
+)
+REAL_CONDITIONS: Mapping[str, Condition] = {
+    "room": _ROOM,
+    "few_matches": replace(_ROOM, matches=(150, 300)),
+    "wall": replace(_ROOM, wall_relief_m=0.1),
+    "shared_errors": replace(_ROOM, shared_px=1.0),
+    "heavy_tails": replace(_ROOM, tail_share=0.4),
+    "repeated": replace(_ROOM, pitch_m=0.4),
+    "repeated_wall": replace(_ROOM, pitch_m=0.4, wall_relief_m=0.1),
+    # Nothing in common but structure that looks alike: no loop may be found.
+    "elsewhere": replace(_ROOM, outlier_share=1.0, matches=(250, 800)),
 }
 
 
@@ -204,9 +251,10 @@ def _ahead(rng: np.random.Generator) -> Array:
 
 
 def _noise(condition: Condition, rng: np.random.Generator) -> Array:
+    times = _TAIL if condition.tail_share > 0 and rng.random() < condition.tail_share else 1.0
     return frames.transform(
-        frames.so3_exp(rng.normal(scale=condition.odometry_sigma_rad, size=3)),
-        rng.normal(scale=condition.odometry_sigma_m, size=3),
+        frames.so3_exp(rng.normal(scale=times * condition.odometry_sigma_rad, size=3)),
+        rng.normal(scale=times * condition.odometry_sigma_m, size=3),
     )
 
 
@@ -224,12 +272,11 @@ class _Images:
 
     def fill(self) -> None:
         """Landmarks and look-alikes until the matches are as many as wanted."""
-        matches = self._rng.uniform(*_MATCHES)
+        matches = self._rng.uniform(*self._condition.matches)
         wrong = self._condition.outlier_share * matches
         landmarks = self._take(self._views(self._points(2)), matches - wrong)
         self._num_landmarks = len(landmarks)
-        alike = self._views(self._points(0))
-        alike[:, 2:] = self._views(self._points(2))[:, 2:]
+        alike = self._alike()
         self._pixels = np.concatenate(
             [landmarks, self._take(alike, wrong / 2), self._single(round(wrong / 2))]
         )
@@ -244,6 +291,8 @@ class _Images:
             [self._pixels[seen, camera], self._rng.uniform((0, 0), IMAGE_SIZE_PX, (rest, 2))]
         )
         pixels[: len(seen)] += self._rng.normal(scale=self._condition.noise_px, size=(len(seen), 2))
+        if self._condition.shared_px > 0:
+            pixels += self._shared_error(pixels)
         descriptors = np.concatenate(
             [self._flip(self._descriptors[seen]), self._random_descriptors(rest)]
         )
@@ -252,14 +301,51 @@ class _Images:
         order = self._rng.permutation(FEATURES)
         return View(_bearings(pixels[order]), descriptors[order], landmarks[order])
 
+    def _alike(self) -> Array:
+        """Views (N, 5, 2) of things that each rig sees consistently, but not the same."""
+        pitch_m = self._condition.pitch_m
+        points = self._points(0)
+        alike = self._views(points)
+        if pitch_m is None:
+            alike[:, 2:] = self._views(self._points(2))[:, 2:]
+        else:
+            along = self._T_world_cam[2][:3, 0]
+            alike[:, 2:] = self._views(points + pitch_m * along)[:, 2:]
+        return alike
+
     def _points(self, camera: int) -> Array:
         """Points (N, 3) in the world, spread over the view of one camera."""
+        condition = self._condition
         pixels = self._rng.uniform((0, 0), IMAGE_SIZE_PX, (_PROPOSALS, 2))
+        if condition.clusters:
+            spots = self._rng.uniform((0, 0), IMAGE_SIZE_PX, (condition.clusters, 2))
+            pixels = self._rng.permutation(spots.repeat(_PROPOSALS // condition.clusters + 1, 0))
+            pixels = pixels[:_PROPOSALS] + self._rng.normal(scale=_SPOT_PX, size=(_PROPOSALS, 2))
         rays = np.column_stack([(pixels - _centre()) / FOCAL_PX, np.ones(_PROPOSALS)])
-        points_cam = rays * self._rng.uniform(*self._condition.depth_m, (_PROPOSALS, 1))
+        depths = self._rng.uniform(*condition.depth_m, _PROPOSALS)
+        if condition.wall_relief_m is not None:
+            depths = self._wall(rays) + self._rng.normal(
+                scale=condition.wall_relief_m, size=_PROPOSALS
+            )
+        points_cam = rays * depths[:, None]
         T = self._T_world_cam[camera]
         points_world: Array = points_cam @ T[:3, :3].T + T[:3, 3]
         return points_world
+
+    def _wall(self, rays: Array) -> Array:
+        """Depths (N,) along rays of a wall that is turned by up to 30 degrees."""
+        distance_m = self._rng.uniform(*self._condition.depth_m)
+        slope = self._rng.uniform(-0.5, 0.5, 2)
+        depths: Array = distance_m / np.maximum(1 + rays[:, :2] @ slope, 0.2)
+        return depths
+
+    def _shared_error(self, pixels: Array) -> Array:
+        """Errors (N, 2) of a smooth random field, by random Fourier features."""
+        waves = self._rng.normal(scale=1 / self._condition.shared_length_px, size=(_WAVES, 2))
+        phases = self._rng.uniform(0, 2 * np.pi, (2, _WAVES))
+        field = np.cos(pixels @ waves.T + phases[:, None]).sum(-1).T
+        error: Array = self._condition.shared_px * np.sqrt(2 / _WAVES) * field
+        return error
 
     def _views(self, points_world: Array) -> Array:
         """Pixels (N, 5, 2) without noise, NaN where a camera does not find the point."""
