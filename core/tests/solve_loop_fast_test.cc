@@ -5,9 +5,9 @@
 #include <cmath>
 #include <limits>
 
-#include <Eigen/Eigenvalues>
 #include <gtest/gtest.h>
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 
 #include "refinement_problem.h"
 
