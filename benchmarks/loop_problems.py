@@ -113,6 +113,8 @@ class LoopProblem:
         T_cand_query: (4, 4) true pose of the query body in the candidate's.
         T_query_cam: (2, 4, 4) true camera poses in the query body frame.
         T_cand_cam: (3, 4, 4) likewise in the candidate's.
+        T_query_cam_odometry: (2, 4, 4) the same as odometry has them: what the solvers are told.
+        T_cand_cam_odometry: (3, 4, 4) likewise.
         query_views: What the query cameras see.
         cand_views: What the candidate cameras see.
     """
@@ -122,6 +124,8 @@ class LoopProblem:
     T_cand_query: Array
     T_query_cam: Array
     T_cand_cam: Array
+    T_query_cam_odometry: Array
+    T_cand_cam_odometry: Array
     query_views: Sequence[View]
     cand_views: Sequence[View]
 
@@ -150,7 +154,15 @@ def generate(condition: Condition, seed: int) -> LoopProblem:
         for T, view in zip(odometry, views, strict=True)
     ]
     return LoopProblem(
-        cameras[:2], cameras[2:], T_cand_query, T_query_cam, T_cand_cam, views[:2], views[2:]
+        cameras[:2],
+        cameras[2:],
+        T_cand_query,
+        T_query_cam,
+        T_cand_cam,
+        odometry[:2],
+        odometry[2:],
+        views[:2],
+        views[2:],
     )
 
 

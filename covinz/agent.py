@@ -224,4 +224,5 @@ def _keyframe(name: KeyframeId, content: KeyframeContent) -> Keyframe:
         covariance=content.covariance,
         gravity_body=content.gravity_body,
         thumbnail_jpeg=content.thumbnail_jpeg,
+        more_features=content.more_features,
     )

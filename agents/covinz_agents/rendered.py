@@ -15,7 +15,7 @@ from covinz.scenario import FileOdometry, RenderedAgent, RenderedPath, Scenario,
 from covinz.trajectory import Trajectory, read_tum
 from covinz.types import Array, Camera, Features
 from covinz_agents.drift import drifting_odometry, seed_of
-from covinz_agents.features import extract
+from covinz_agents.features import extract, extract_kinds
 from covinz_agents.paths import given_positions_m, true_path
 from covinz_agents.source import DatasetError, Frame
 from covinz_agents.studio import Shot, Studio, studio, visit
@@ -99,8 +99,12 @@ class RenderedRobot:
         return self._studio.picture(self._visit, self._shot(frame.number))
 
     def features(self, frame: Frame) -> Features:
-        """Features of a frame's image; raises as `image`."""
+        """Features of a frame's image, of the first kind; raises as `image`."""
         return extract(self.image(frame), self._agent.features)
+
+    def all_features(self, frame: Frame) -> tuple[Features, ...]:
+        """Features of a frame's image, one block for each kind; raises as `image`."""
+        return extract_kinds(self.image(frame), self._agent.features)
 
     def _true_path(self) -> Trajectory:
         agent = self._agent

@@ -62,4 +62,7 @@ class Source(Protocol):
         """A frame's image, (H, W) grey or (H, W, 3) BGR; raises DatasetError."""
 
     def features(self, frame: Frame) -> Features:
-        """Features of a frame; raises DatasetError when its image cannot be read."""
+        """Features of a frame's first kind; raises DatasetError if its image cannot be read."""
+
+    def all_features(self, frame: Frame) -> tuple[Features, ...]:
+        """Features of a frame, one block for each kind; raises as `features`."""

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, defaultdict
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
 from covinz.types import (
+    Camera,
     Features,
     FeatureType,
     Keyframe,
@@ -23,10 +25,13 @@ from covinz.types import (
 )
 from services.place_recognition import guards, rigs
 from services.place_recognition.index import Descriptors, PlaceIndex, Vocabulary, Words
-from services.place_recognition.rigs import JobMint, Pair
+from services.place_recognition.rigs import JobMint, Pair, Rig, RigRule
 from services.place_recognition.track import PastQuery, QueryHistory, Track
 
 logger = logging.getLogger(__name__)
+
+# Keyframes of its session that a pair waits for, if its rigs do not tell the scale.
+PATIENCE = 2
 
 
 class Recognizer:
@@ -45,21 +50,25 @@ class Recognizer:
         solver: LoopSolverConfig,
         vocabulary: Vocabulary,
         index: PlaceIndex,
+        camera: Callable[[str], Camera | None],
     ) -> None:
         self._config = config
         self._vocabulary = vocabulary
         self._index = index
-        self._mint = JobMint(solver, vocabulary.hash)
+        self._mint = JobMint(solver, config.rigs, vocabulary.hash)
+        self._rule = RigRule(config.rigs, solver, camera)
         self._tracks: dict[SegmentId, Track] = {}
         self._tracks_of: defaultdict[str, list[Track]] = defaultdict(list)
         self._history: defaultdict[SegmentId, QueryHistory] = defaultdict(QueryHistory)
+        # Sessions whose agent has begun another one.
+        self._over: set[SegmentId] = set()
         self._indexed: list[KeyframeId] = []
         self._waiting: defaultdict[SegmentId, list[Pair]] = defaultdict(list)
         self.counters: Counter[str] = Counter()
 
     @property
     def waiting(self) -> int:
-        """Pairs that become jobs when their sessions have enough keyframes for the rigs."""
+        """Pairs that become jobs when their sessions have the keyframes that the rigs need."""
         return sum(len(pairs) for pairs in self._waiting.values())
 
     def process(self, entry: LogEntry) -> list[LoopJob]:
@@ -67,13 +76,16 @@ class Recognizer:
         kf = entry.item
         if not isinstance(kf, Keyframe):
             return []
+        jobs = self._begin(kf.id.segment)
+        track = self._tracks[kf.id.segment]
+        track.path.insert(kf)
         features = self._usable(kf)
-        if features is None:
-            return []
-        track = self._track(kf.id.segment)
-        track.insert(kf)
+        if features is not None:
+            track.insert(kf)
         # Pairs that waited for this session are older than those the keyframe brings.
-        jobs = self._form(self._waiting.pop(kf.id.segment, []))
+        jobs += self._form(self._waiting.pop(kf.id.segment, []))
+        if features is None:
+            return jobs
         words = self._vocabulary.words(features.descriptors)
         jobs += self._form(self._query(kf.id, words, features.descriptors))
         self._add(kf.id, words, features.descriptors)
@@ -94,11 +106,17 @@ class Recognizer:
         self.counters[counter] += 1
         logger.info("keyframe %s takes no part in place recognition: %s", kf.id, reason)
 
-    def _track(self, segment: SegmentId) -> Track:
-        if segment not in self._tracks:
-            self._tracks[segment] = Track(segment)
-            self._tracks_of[segment.agent].append(self._tracks[segment])
-        return self._tracks[segment]
+    def _begin(self, segment: SegmentId) -> list[LoopJob]:
+        """Note a session; one that is new ends the others of its agent, and what waits for them."""
+        if segment in self._tracks:
+            return []
+        jobs = []
+        for track in self._tracks_of[segment.agent]:
+            self._over.add(track.segment)
+            jobs += self._form(self._waiting.pop(track.segment, []))
+        self._tracks[segment] = Track(segment)
+        self._tracks_of[segment.agent].append(self._tracks[segment])
+        return jobs
 
     def _query(self, query: KeyframeId, words: Words, descriptors: Descriptors) -> list[Pair]:
         track, history = self._tracks[query.segment], self._history[query.segment]
@@ -127,18 +145,33 @@ class Recognizer:
         """Make jobs of the pairs whose rigs can be formed; the others wait for their session."""
         jobs = []
         for pair in pairs:
-            query = rigs.query_rig(self._tracks[pair.query.segment], pair.query.seq)
-            cand = rigs.cand_rig(self._tracks[pair.cand.segment], pair.cand.seq)
+            query = self._rule.query(pair, self._tracks[pair.query.segment])
+            cand = self._rule.cand(pair, self._tracks[pair.cand.segment])
             if query is None:
                 self._waiting[pair.query.segment].append(pair)
             elif cand is None:
                 self._waiting[pair.cand.segment].append(pair)
-            elif rigs.overlap(query, cand):
+            elif (awaited := self._awaited(pair, query, cand)) is not None:
+                self._waiting[awaited].append(pair)
+            elif rigs.overlap(query.members, cand.members):
                 self.counters["skipped.overlap"] += 1
             else:
-                jobs.append(self._mint.job(pair, query, cand))
+                jobs.append(self._mint.job(pair, query.members, cand.members))
         self.counters["candidates"] += len(jobs)
         return jobs
+
+    def _awaited(self, pair: Pair, query: Rig, cand: Rig) -> SegmentId | None:
+        """The session whose next keyframes may tell the scale that the rigs do not, if any.
+
+        A session is waited for until it has gone on by `PATIENCE` keyframes, or is over.
+        """
+        if query.information + cand.information >= self._config.rigs.min_information:
+            return None
+        for kf in (pair.query, pair.cand):
+            num_after = self._tracks[kf.segment].path.num_after(kf.seq)
+            if kf.segment not in self._over and num_after < PATIENCE:
+                return kf.segment
+        return None
 
     def _add(self, kf: KeyframeId, words: Words, descriptors: Descriptors) -> None:
         if guards.may_be_candidate(kf.seq, self._config):

@@ -17,9 +17,11 @@ from contextlib import ExitStack, closing
 from covinz import codec
 from covinz.bus import Query
 from covinz.config import Config
+from covinz.keyframes import RemoteKeyframeStore
 from covinz.log_follower import LogFollower, LogReset
 from covinz.service import Context, Inbox, StatusRequest
-from covinz.types import LogEntry, LogPage, LogView, Status
+from covinz.types import Camera, LogEntry, LogPage, LogView, Status
+from services.place_recognition.calibrations import Calibrations
 from services.place_recognition.desk import (
     Desk,
     JobsAsked,
@@ -49,8 +51,9 @@ def run(context: Context) -> None:
         DurableFileError: If the journal cannot be used.
     """
     config = context.config
-    new_recognizer = recognizer_factory(config)
-    gate = PageGate(context.inbox)
+    calibrations = Calibrations(RemoteKeyframeStore(context.bus, capacity=1))
+    new_recognizer = recognizer_factory(config, calibrations.camera)
+    gate = PageGate(context.inbox, calibrations)
     with ExitStack() as stack:
         path = context.data_dir / "place_recognition.sqlite"
         journal = stack.enter_context(closing(Journal(path)))
@@ -67,8 +70,14 @@ def run(context: Context) -> None:
             service.step(context.inbox)
 
 
-def recognizer_factory(config: Config) -> Callable[[], Recognizer]:
+def recognizer_factory(
+    config: Config, camera: Callable[[str], Camera | None]
+) -> Callable[[], Recognizer]:
     """Makes empty recognizers; the vocabulary is read once.
+
+    Args:
+        config: All of it: also the solver's part says what a job is.
+        camera: Gives the calibrations of the log's keyframes by their hashes.
 
     Raises:
         ConfigError: If the vocabulary or the index's options cannot be used.
@@ -78,7 +87,7 @@ def recognizer_factory(config: Config) -> Callable[[], Recognizer]:
 
     def make() -> Recognizer:
         index = new_index(config.place_recognition, vocabulary)
-        return Recognizer(config.place_recognition, config.loop_solver, vocabulary, index)
+        return Recognizer(config.place_recognition, config.loop_solver, vocabulary, index, camera)
 
     return make
 
@@ -86,15 +95,17 @@ def recognizer_factory(config: Config) -> Callable[[], Recognizer]:
 class PageGate:
     """Lets the log's follower run ahead by a few pages only; other events pass freely."""
 
-    def __init__(self, inbox: Inbox) -> None:
+    def __init__(self, inbox: Inbox, calibrations: Calibrations) -> None:
         self._inbox = inbox
+        self._calibrations = calibrations
         self._places = threading.Semaphore(PAGES_AHEAD)
         self._open = False
 
     def deliver(self, event: LogReset | LogPage) -> None:
-        """For the follower's thread: waits until there is room for a page."""
+        """For the follower's thread: waits until there is room for a page, and calibrations."""
         if isinstance(event, LogPage) and not self._open:
             self._places.acquire()
+            self._calibrations.fetch(event)
         self._inbox.put(event)
 
     def page_done(self) -> None:
@@ -105,6 +116,7 @@ class PageGate:
         """Let a waiting follower go: the service ends."""
         self._open = True
         self._places.release()
+        self._calibrations.close()
 
 
 class PlaceRecognition:

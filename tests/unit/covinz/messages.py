@@ -105,7 +105,9 @@ def log_pages(draw: st.DrawFn) -> types.LogPage:
 
 
 rigs = st.lists(
-    st.builds(types.RigMember, keyframe_ids, poses, hashes), min_size=1, max_size=3
+    st.builds(types.RigMember, keyframe_ids, poses, hashes, st.none() | covariances),
+    min_size=1,
+    max_size=3,
 ).map(tuple)
 loop_jobs = st.builds(types.LoopJob, job_ids, rigs, rigs, finite)
 motion_residuals = st.builds(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import covinz_core
 import numpy as np
@@ -11,13 +12,31 @@ import pytest
 
 from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
 from covinz.frames import transform
-from covinz.types import Features, FeatureType, Keyframe, KeyframeId, LogEntry, LoopJob
+from covinz.types import (
+    Camera,
+    Features,
+    FeatureType,
+    Keyframe,
+    KeyframeId,
+    LogEntry,
+    LoopJob,
+    RigMember,
+)
 from services.place_recognition.index import new_index
 from services.place_recognition.recognizer import Recognizer
 
 SESSIONS = {
     name: f"01ARZ3NDEKTSV4RRFFQ69G5F{i}{i}" for i, name in enumerate(("a", "b", "c", "a2", "d"))
 }
+# Looks ahead, along the body's x axis.
+CAMERA = Camera(
+    "PINHOLE",
+    640,
+    480,
+    np.array([500.0, 500.0, 319.5, 239.5]),
+    transform(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.zeros(3)),
+)
+CAMERA_HASH = "0123456789abcdef"
 
 
 @dataclass(frozen=True)
@@ -49,16 +68,21 @@ class World:
             id=kf_id(name, seq),
             stamp_ns=seq * 1_000_000_000 if stamp_ns is None else stamp_ns,
             T_odom_body=transform(np.eye(3), [float(seq), 0.0, 0.0]),
-            camera_hash="0123456789abcdef",
+            camera_hash=CAMERA_HASH,
             features=Features(kind, np.zeros((num_features, 2), np.float32), descriptors),
         )
 
-    def recognizer(self, solver: LoopSolverConfig | None = None, **options: object) -> Recognizer:
+    def recognizer(
+        self,
+        solver: LoopSolverConfig | None = None,
+        cameras: Mapping[str, Camera] = MappingProxyType({CAMERA_HASH: CAMERA}),
+        **options: object,
+    ) -> Recognizer:
         """An empty recognizer over the real index; guards are off unless asked for."""
         values = {"min_loop_keyframes": 1, "min_loop_s": 0.0, "min_score": 1.0, **options}
         config = PlaceRecognitionConfig.model_validate(values)
         index = new_index(config, self.vocabulary)
-        return Recognizer(config, solver or LoopSolverConfig(), self.vocabulary, index)
+        return Recognizer(config, solver or LoopSolverConfig(), self.vocabulary, index, cameras.get)
 
 
 def kf_id(name: str, seq: int) -> KeyframeId:
@@ -83,6 +107,11 @@ def kid() -> Callable[[str, int], KeyframeId]:
 Describe = Callable[[Iterable[LoopJob]], list[object]]
 
 
+def _bytes(member: RigMember) -> bytes | None:
+    covariance = member.motion_covariance
+    return None if covariance is None else covariance.tobytes()
+
+
 @pytest.fixture(scope="session")
 def describe() -> Describe:
     """Everything that a job says, comparable."""
@@ -93,7 +122,7 @@ def describe() -> Describe:
                 job.id,
                 job.score,
                 *[
-                    (m.keyframe, m.T_odom_body.tobytes(), m.camera_hash)
+                    (m.keyframe, m.T_odom_body.tobytes(), m.camera_hash, _bytes(m))
                     for m in (*job.query_rig, *job.cand_rig)
                 ],
                 len(job.query_rig),
