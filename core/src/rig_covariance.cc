@@ -232,8 +232,7 @@ VarianceComponents EstimateComponents(const CellSums& sums,
 Eigen::MatrixXd PriorHessian(RigAdjustment problem,
                              const RigAdjustmentState& state,
                              Eigen::Index q) {
-  problem.observations.clear();
-  problem.begins = {0};
+  problem.blocks = {};
   ReducedSystem system;
   Linearize(problem, state, 0.0, system);
   system.hessian.diagonal().segment<6>(q).array() += 1e-4;
@@ -261,7 +260,8 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   options.Check();
   cand.Check();
   query.Check();
-  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, refinement_options);
+  RigAdjustment problem = MakeAdjustment(cand, query, tracks, refinement_options);
+  problem.blocks = BlockTracks(problem);
   const RigAdjustmentState state{
       CamerasInWorld(refinement.T_cand_cam, refinement.T_query_cam, refinement.T_cand_query),
       refinement.points};

@@ -141,6 +141,9 @@ void RigRefinementOptions::Check() const {
         max_inverse_distance_per_m > 0.0)) {
     throw std::invalid_argument("RigRefinementOptions: sigmas, losses and limits must be positive");
   }
+  if (!IsSupported(instruction_set)) {
+    throw std::invalid_argument("RigRefinementOptions: this processor lacks the instruction set");
+  }
   if (max_num_iterations < 0 || !(min_relative_decrease >= 0.0)) {
     throw std::invalid_argument("RigRefinementOptions: iterations and decrease must be >= 0");
   }
@@ -154,7 +157,8 @@ RigRefinement RefineRigs(const RefinedRig& cand,
   options.Check();
   cand.Check();
   query.Check();
-  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  problem.blocks = BlockTracks(problem);
   RigAdjustmentState state;
   state.T_world_cam = CamerasInWorld(cand.T_rig_cam, query.T_rig_cam, T_cand_query);
   state.points = Triangulate(problem, state.T_world_cam);
