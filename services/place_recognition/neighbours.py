@@ -3,21 +3,21 @@
 What a rig is for is scale: odometry knows how far apart its cameras are, and nothing else does. Two
 of its cameras, a baseline b apart, tell the scale with the information
 
-    shared * b^2 / (sigma^2 + blur^2)
+    shared * b^2 / sigma^2
 
-where sigma is odometry's error over the path between them, blur is what a pixel covers at the
-scene's depth, and shared is the part of the reference's matches that both of them can have.
-Information adds up along a rig in order of time, since odometry's errors of consecutive stretches
-are independent: two cameras beside each other count little more than one. Distant cameras have
-long baselines, but less of the view in common, see it from other sides, and odometry's rotation
-has drifted by more than the search for hypotheses, which holds rigs rigid, forgives: all three are
-in `shared`.
+where sigma is odometry's error over the path between them, and shared is the part of the
+reference's matches that both of them can have. Information adds up along a rig in order of time,
+since odometry's errors of consecutive stretches are independent: two cameras beside each other
+count little more than one. Distant cameras have long baselines, but less of the view in common, see
+it from other sides, and odometry's rotation has drifted by more than the search for hypotheses,
+which holds rigs rigid, forgives: all three are in `shared`.
 
 Source: decision 0021.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from covinz import frames
-from covinz.config import MAX_RIG_SIZE, FastLoopConfig, RigConfig
+from covinz.config import MAX_RIG_SIZE, FastLoopConfig, OdometryNoise, RigConfig
 from covinz.types import Array, Camera
 
 # Rays of the reference camera that stand for its view.
@@ -95,8 +95,7 @@ def choose(
     focal_px = float(np.mean(cameras[reference].params[:2]))
     common = _common(T_odom_cam, cameras, reference, rigs)
     shared = common.matched * _held(along, reference, focal_px, fast)
-    blur_m = rigs.depth_m / focal_px
-    worth = _quantised(_information(T_odom_cam[:, :3, 3], along, shared, blur_m, fast))
+    worth = _quantised(_information(T_odom_cam[:, :3, 3], along, shared, fast.odometry))
     allowed = (common.seen >= rigs.min_overlap) | (np.arange(len(shared)) == reference)
     num_others = min(size, len(shared)) - 1
     chosen = _best_chain(worth, allowed, reference, num_others)
@@ -135,17 +134,14 @@ def _common(
     T_odom_cam: Array, cameras: Sequence[Camera], reference: int, rigs: RigConfig
 ) -> _Common:
     """What the cameras have in common with the reference if the scene is at `depth_m`."""
-    camera = cameras[reference]
-    across, down = ((np.arange(n) + 0.5) / n for n in _GRID)
-    at = np.stack(np.meshgrid(across * camera.width, down * camera.height), -1).reshape(-1, 2)
-    rays = _bearings(camera, at - 0.5)
+    views = [_view(camera) for camera in cameras]
+    rays = views[reference].rays
     T_ref_cam = frames.inverse(T_odom_cam[reference]) @ T_odom_cam
     rays_ref = rigs.depth_m * rays - T_ref_cam[:, None, :3, 3]
     rays_cam = rays_ref @ T_ref_cam[:, :3, :3]
     angles = np.arctan2(rays_cam[..., :2], rays_cam[..., 2:])
-    limits = {key: _limits(each) for key, each in {id(each): each for each in cameras}.items()}
-    low, high = np.moveaxis(np.stack([limits[id(each)] for each in cameras]), 1, 0)
-    seen = ((angles >= low[:, None]) & (angles <= high[:, None])).all(axis=-1)
+    low, high = (np.stack([view.limits[side] for view in views])[:, None] for side in (0, 1))
+    seen = ((angles >= low) & (angles <= high)).all(axis=-1)
     distance_m = np.maximum(np.linalg.norm(rays_ref, axis=-1), 1e-9)
     cosine = (rays_ref * rays).sum(axis=-1) / distance_m
     turned_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -154,13 +150,29 @@ def _common(
     return _Common(seen.mean(axis=-1), matched.mean(axis=-1))
 
 
-def _limits(camera: Camera) -> Array:
-    """(2, 2) angles [rad] of a view from the optical axis: left and top, right and bottom."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What a calibration says of a view.
+
+    Attributes:
+        rays: (M, 3) unit vectors that stand for it.
+        limits: (2, 2) angles [rad] from the optical axis: left and top, right and bottom.
+    """
+
+    rays: Array
+    limits: Array
+
+
+@functools.lru_cache(maxsize=64)
+def _view(camera: Camera) -> _View:
+    across, down = ((np.arange(n) + 0.5) / n for n in _GRID)
+    at = np.stack(np.meshgrid(across * camera.width, down * camera.height), -1).reshape(-1, 2)
     x, y = camera.width / 2 - 0.5, camera.height / 2 - 0.5
     right, bottom = camera.width - 1.0, camera.height - 1.0
     border = _bearings(camera, np.array([[0.0, y], [x, 0.0], [right, y], [x, bottom]]))
     angles = np.arctan2(border[:, :2], border[:, 2:])
-    return angles[[0, 1, 2, 3], [0, 1, 0, 1]].reshape(2, 2)
+    limits = angles[[0, 1, 2, 3], [0, 1, 0, 1]].reshape(2, 2)
+    return _View(_bearings(camera, at - 0.5), limits)
 
 
 def _bearings(camera: Camera, at_px: Array) -> Array:
@@ -180,11 +192,8 @@ def _held(along: _Along, reference: int, focal_px: float, fast: FastLoopConfig) 
     return held
 
 
-def _information(
-    centres_m: Array, along: _Along, shared: Array, blur_m: float, fast: FastLoopConfig
-) -> Array:
+def _information(centres_m: Array, along: _Along, shared: Array, noise: OdometryNoise) -> Array:
     """(N, N) what each pair of cameras tells about scale: one over its relative variance."""
-    noise = fast.odometry
     squared = np.sum((centres_m[:, None] - centres_m[None]) ** 2, axis=-1)
     metres = np.abs(along.metres[:, None] - along.metres[None])
     radians = np.abs(along.radians[:, None] - along.radians[None])
@@ -192,7 +201,6 @@ def _information(
         noise.translation_per_sqrt_m**2 * metres
         + noise.translation_per_sqrt_rad**2 * radians
         + noise.min_translation**2
-        + blur_m**2
     )
     information: Array = np.minimum(shared[:, None], shared[None]) * squared / variance
     return information
@@ -207,7 +215,8 @@ def _best_chain(
 ) -> list[int]:
     """Up to `num_others` allowed rows whose chain through the reference is worth most.
 
-    A chain's worth is that of its links, from each row to the next in order of time.
+    A chain's worth is that of its links, from each row to the next in order of time. Of equal
+    chains the one that is as long on both sides, and the nearest, is taken.
     """
     before = np.flatnonzero(allowed[: reference + 1])[::-1]
     after = reference + np.flatnonzero(allowed[reference:])
@@ -215,7 +224,8 @@ def _best_chain(
     count = min(num_others, len(one) + len(other) - 2)
     best: list[int] = []
     most = -1
-    for num in range(max(0, count - len(other) + 1), min(count, len(one) - 1) + 1):
+    splits = range(max(0, count - len(other) + 1), min(count, len(one) - 1) + 1)
+    for num in sorted(splits, key=lambda num: (abs(2 * num - count), -num)):
         total = one[num][0] + other[count - num][0]
         if total > most:
             most, best = total, [*one[num][1], *other[count - num][1]]
