@@ -28,7 +28,7 @@ class Street:
     def keyframe(
         self, name: str, seq: int, place: int, x_m: float = 0.0, **kwargs: Any
     ) -> Keyframe:
-        kf = self.world.keyframe(name, seq, place, **kwargs)
+        kf: Keyframe = self.world.keyframe(name, seq, place, **kwargs)
         return dataclasses.replace(kf, T_odom_body=transform(np.eye(3), [x_m, 0.0, 0.0]))
 
     def standing(self, name: str, places: Iterable[int]) -> list[Keyframe]:
