@@ -67,7 +67,7 @@ class Fleet:
 
     def attempts(self, profile: str) -> list[LoopJob]:
         """What place recognition asks to verify in such a run, in its order."""
-        recognizer = recognizer_factory(self.config(profile))()
+        recognizer = recognizer_factory(self.config(profile), self.cameras.get)()
         log = (LogEntry(index, kf) for index, kf in enumerate(self.keyframes.values()))
         return [job for entry in log for job in recognizer.process(entry)]
 

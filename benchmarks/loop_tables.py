@@ -27,7 +27,8 @@ _CONDITIONS = {
 }
 _SCENARIOS = {
     "redkitchen": "redkitchen: real images and odometry; all near pairs",
-    "redkitchen_elsewhere": "redkitchen: pairs that see different places",
+    "redkitchen_elsewhere": "redkitchen: pairs 1.5 m or 60° apart, with little in common",
+    "elsewhere": "redkitchen with fr1_rpy, another building: none is right",
     "fr1_rpy": "fr1_rpy: real images, the camera only turns",
     "hall": "generated hall: what place recognition asks",
     "courtyard": "generated courtyard: what place recognition asks",

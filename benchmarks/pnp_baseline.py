@@ -24,7 +24,8 @@ from benchmarks.loop_figures import NoPose, Pose, Result
 from covinz import frames
 from covinz.config import LoopSolverConfig
 from covinz.keyframes import KeyframeStore
-from covinz.types import LoopJob, RigMember
+from covinz.types import FeatureType, LoopJob, RigMember
+from services.loop_solver.kinds import shared_kind
 from services.loop_solver.rig import BadRig
 from services.loop_solver.solver import fast_loop_options
 
@@ -49,14 +50,16 @@ class Image:
     focal_px: float
 
 
-def read_images(members: Sequence[RigMember], store: KeyframeStore) -> list[Image]:
+def read_images(
+    members: Sequence[RigMember], store: KeyframeStore, kind: FeatureType
+) -> list[Image]:
     """The images of a rig, the reference first; raises as `services.loop_solver.rig.build_rig`."""
     T_rig_odom = frames.inverse(members[0].T_odom_body)
     images = []
     for member in members:
-        features = store.keyframe(member.keyframe).features
+        features = store.keyframe(member.keyframe).features_of(kind)
         if features is None:
-            raise BadRig(f"keyframe {member.keyframe} has no features")
+            raise BadRig(f"keyframe {member.keyframe} has no {kind.name} features")
         camera = store.camera(member.camera_hash)
         bearings = core.bearing_vectors(
             camera.model, camera.params.tolist(), features.keypoints_px.astype(np.float64)
@@ -76,14 +79,17 @@ def read_images(members: Sequence[RigMember], store: KeyframeStore) -> list[Imag
 
 def prepared(job: LoopJob, config: LoopSolverConfig, store: KeyframeStore) -> Callable[[], Result]:
     """The baseline for one job, everything read and ready to be called."""
-    query, cand = read_images(job.query_rig[:1], store)[0], read_images(job.cand_rig, store)
-    return lambda: solve_pnp(query, cand, config)
+    kind = shared_kind(job, store, config.kinds)
+    query = read_images(job.query_rig[:1], store, kind)[0]
+    cand = read_images(job.cand_rig, store, kind)
+    matching = fast_loop_options(config, job.seed, kind).matching
+    return lambda: solve_pnp(query, cand, matching, config.fast.max_error_px)
 
 
-def solve_pnp(query: Image, cand: Sequence[Image], config: LoopSolverConfig) -> Result:
+def solve_pnp(
+    query: Image, cand: Sequence[Image], options: core.MatchingOptions, max_error_px: float
+) -> Result:
     """Pose of the query body in the candidate's, by the candidate's points in the query image."""
-    options = fast_loop_options(config, 0).matching
-    max_error_px = config.fast.max_error_px
     packed = [core.PackedDescriptors(image.descriptors) for image in cand]
     points = np.full((len(cand[0].bearings), 3), np.nan)
     parallax_rad = np.full(len(points), _MIN_PARALLAX_RAD)

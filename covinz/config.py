@@ -112,10 +112,22 @@ class RigConfig(Section):
     max_steps: Annotated[int, Field(ge=MAX_RIG_SIZE - 1)] = 32
 
 
+class SiftRecognitionConfig(Section):
+    """What SIFT's index has of its own; source: decision 0022."""
+
+    # Vocabulary file; relative to the checkout.
+    vocabulary: Path = Path("vocabulary/sift_10k.bin")
+    # Two descriptors of one word vote for each other if their codes differ in so many of 128 bits.
+    # [measured: decision 0022]
+    max_hamming: Annotated[int, Field(gt=0, le=128)] = 28
+    # A candidate needs this score; None: the same as of ORB.
+    min_score: NonNegative | None = None
+
+
 class PlaceRecognitionConfig(Section):
     """Candidates for loops. Guards depend on the log alone, never on outcomes."""
 
-    # Vocabulary file; relative to the checkout.
+    # Vocabulary file of ORB; relative to the checkout.
     vocabulary: Path = Path("vocabulary/orb_10k.bin")
     # Rank by verified votes, or by the paper's DBoW2 tf-idf score. [measured: decision 0004]
     score: Literal["votes", "tf_idf"] = "votes"
@@ -127,8 +139,8 @@ class PlaceRecognitionConfig(Section):
     min_score: NonNegative = 10.0
     # Candidates need this share of the query's best score. [public code: 0.75 retain rule]
     min_score_ratio: Annotated[float, Field(ge=0, le=1)] = 0.25
-    # A keyframe with fewer features takes no part: it could not pass the gate of the pairs.
-    # [paper III-B2: 30 inliers]
+    # A keyframe with fewer features of every kind takes no part: it could not pass the gate of the
+    # pairs. [paper III-B2: 30 inliers]
     min_features: PositiveInt = 30
     # The first keyframes of a session are neither queries ... [public code: start_after_kf 7]
     start_after_keyframes: Count = 0
@@ -159,6 +171,8 @@ class PlaceRecognitionConfig(Section):
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]
     long_poll_s: Positive = 5.0
+    # Another vocabulary, and thresholds of its own, for SIFT.
+    sift: SiftRecognitionConfig = SiftRecognitionConfig()
     # The keyframes around query and candidate that are matched with them.
     rigs: RigConfig = RigConfig()
 
@@ -202,6 +216,9 @@ class FastLoopConfig(Section):
     confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
     # Samples of the joint estimation.
     max_iterations: PositiveInt = 1000
+    # Let the direction of gravity propose poses where both robots send it: more loops where most
+    # matches are wrong. [decision 0019]
+    use_verticals: bool = True
     # Hypotheses that are refined. [real images research: five]
     max_refined: PositiveInt = 5
     # The best solution wins against a distinct one with so many standard deviations, or the loop

@@ -271,6 +271,7 @@ def keyframe_content(part: Part, frame: Frame) -> KeyframeContent:
         part.source.camera,
         features,
         part.covariance.get(frame.number),
+        frame.gravity_body,
         more_features=tuple(more_features),
     )
 
@@ -284,6 +285,7 @@ def _send(robot: Robot, content: KeyframeContent) -> None:
         content.camera.hash,
         content.features,
         content.covariance,
+        content.gravity_body,
         more_features=content.more_features,
     )
     robot.sent_bytes += len(codec.encode(sent))

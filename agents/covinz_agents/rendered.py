@@ -55,7 +55,7 @@ class RenderedRobot:
         if not len(self._rows):
             raise DatasetError(f"{agent.id}: no image has an odometry pose")
         self._frames = [
-            Frame(int(row), int(self._truth.stamps_ns[row]), T)
+            Frame(int(row), int(self._truth.stamps_ns[row]), T, self._gravity(int(row)))
             for row, T in zip(self._rows, T_odom_body, strict=True)
         ]
         self._visit = visit(self._world, agent.look, self._camera, agent.sensor)
@@ -134,6 +134,16 @@ class RenderedRobot:
         if odometry.frame == "camera":
             poses = poses @ frames.inverse(self._camera.T_body_cam)
         return found, frames.inverse(poses[:1]) @ poses
+
+    def _gravity(self, row: int) -> Array | None:
+        """Down in the body frame, as an accelerometer would have it."""
+        sigma_rad = self._agent.gravity_sigma_rad
+        if sigma_rad is None:
+            return None
+        rng = np.random.default_rng(seed_of("gravity", self._seed, self._agent.id, row))
+        error = frames.so3_exp(rng.normal(scale=sigma_rad, size=3))
+        down: Array = error @ -self._truth.T_ref_body[row][2, :3]
+        return down
 
     def _shot(self, row: int) -> Shot:
         blur_s = self._agent.sensor.blur_s

@@ -27,6 +27,7 @@ from covinz.types import (
 from services.loop_solver.kinds import NoSharedKind, shared_kind
 from services.loop_solver.motions import consecutive, rig_motions
 from services.loop_solver.rig import build_rig
+from services.loop_solver.verticals import verticals
 
 Result = covinz_core.LoopEstimate | covinz_core.LoopRejection
 
@@ -93,6 +94,8 @@ class LoopSolver:
         query_rig = covinz_core.LoopRig(query, rig_motions(job.query_rig, store, noise))
         cand_rig = covinz_core.LoopRig(cand, rig_motions(job.cand_rig, store, noise))
         fast_options = fast_loop_options(config, job.seed, kind)
+        if config.fast.use_verticals:
+            fast_options.hypotheses.verticals = verticals(job, store)
         return lambda: covinz_core.solve_loop_fast(query_rig, cand_rig, fast_options)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-import threading
 
 from covinz.keyframes import CameraNotFound, KeyframeStore, StoreUnavailable
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import Camera, Keyframe, LogPage
 
 logger = logging.getLogger(__name__)
@@ -23,12 +23,18 @@ class Calibrations:
     Args:
         store: Where they come from.
         pause_s: Between two questions to a store that does not answer.
+        machine: To wait.
     """
 
-    def __init__(self, store: KeyframeStore, pause_s: float = PAUSE_S) -> None:
+    def __init__(
+        self,
+        store: KeyframeStore,
+        pause_s: float = PAUSE_S,
+        machine: Machine = THIS_MACHINE,
+    ) -> None:
         self._store = store
         self._pause_s = pause_s
-        self._closed = threading.Event()
+        self._closed = machine.event()
         self._cameras: dict[str, Camera | None] = {}
 
     def fetch(self, page: LogPage) -> None:

@@ -3,15 +3,14 @@
 What a rig is for is scale: odometry knows how far apart its cameras are, and nothing else does. Two
 of its cameras, a baseline b apart, tell the scale with the information
 
-    shared * b^2 / (sigma^2 + blur^2)
+    shared * b^2 / sigma^2
 
-where sigma is odometry's error over the path between them, blur is what a pixel covers at the
-scene's depth, and shared is the part of the reference's matches that both of them can have.
-Information adds up along a rig in order of time, since odometry's errors of consecutive stretches
-are independent: two cameras beside each other count little more than one. Distant cameras have
-long baselines, but less of the view in common, see it from other sides, and odometry's rotation
-has drifted by more than the search for hypotheses, which holds rigs rigid, forgives: all three are
-in `shared`.
+where sigma is odometry's error over the path between them, and shared is the part of the
+reference's matches that both of them can have. Information adds up along a rig in order of time,
+since odometry's errors of consecutive stretches are independent: two cameras beside each other
+count little more than one. Distant cameras have long baselines, but less of the view in common, see
+it from other sides, and odometry's rotation has drifted by more than the search for hypotheses,
+which holds rigs rigid, forgives: all three are in `shared`.
 
 Source: decision 0021.
 """
@@ -28,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from covinz import frames
-from covinz.config import MAX_RIG_SIZE, FastLoopConfig, RigConfig
+from covinz.config import MAX_RIG_SIZE, FastLoopConfig, OdometryNoise, RigConfig
 from covinz.types import Array, Camera
 
 # Rays of the reference camera that stand for its view.
@@ -95,8 +94,7 @@ def choose(
     focal_px = float(np.mean(cameras[reference].params[:2]))
     common = _common(T_odom_cam, cameras, reference, rigs)
     shared = common.matched * _held(along, reference, focal_px, fast)
-    blur_m = rigs.depth_m / focal_px
-    worth = _quantised(_information(T_odom_cam[:, :3, 3], along, shared, blur_m, fast))
+    worth = _quantised(_information(T_odom_cam[:, :3, 3], along, shared, fast.odometry))
     allowed = (common.seen >= rigs.min_overlap) | (np.arange(len(shared)) == reference)
     num_others = min(size, len(shared)) - 1
     chosen = _best_chain(worth, allowed, reference, num_others)
@@ -180,11 +178,8 @@ def _held(along: _Along, reference: int, focal_px: float, fast: FastLoopConfig) 
     return held
 
 
-def _information(
-    centres_m: Array, along: _Along, shared: Array, blur_m: float, fast: FastLoopConfig
-) -> Array:
+def _information(centres_m: Array, along: _Along, shared: Array, noise: OdometryNoise) -> Array:
     """(N, N) what each pair of cameras tells about scale: one over its relative variance."""
-    noise = fast.odometry
     squared = np.sum((centres_m[:, None] - centres_m[None]) ** 2, axis=-1)
     metres = np.abs(along.metres[:, None] - along.metres[None])
     radians = np.abs(along.radians[:, None] - along.radians[None])
@@ -192,7 +187,6 @@ def _information(
         noise.translation_per_sqrt_m**2 * metres
         + noise.translation_per_sqrt_rad**2 * radians
         + noise.min_translation**2
-        + blur_m**2
     )
     information: Array = np.minimum(shared[:, None], shared[None]) * squared / variance
     return information
@@ -207,7 +201,8 @@ def _best_chain(
 ) -> list[int]:
     """Up to `num_others` allowed rows whose chain through the reference is worth most.
 
-    A chain's worth is that of its links, from each row to the next in order of time.
+    A chain's worth is that of its links, from each row to the next in order of time. Of equal
+    chains the one that is as long on both sides, and the nearest, is taken.
     """
     before = np.flatnonzero(allowed[: reference + 1])[::-1]
     after = reference + np.flatnonzero(allowed[reference:])
@@ -215,7 +210,8 @@ def _best_chain(
     count = min(num_others, len(one) + len(other) - 2)
     best: list[int] = []
     most = -1
-    for num in range(max(0, count - len(other) + 1), min(count, len(one) - 1) + 1):
+    splits = range(max(0, count - len(other) + 1), min(count, len(one) - 1) + 1)
+    for num in sorted(splits, key=lambda num: (abs(2 * num - count), -num)):
         total = one[num][0] + other[count - num][0]
         if total > most:
             most, best = total, [*one[num][1], *other[count - num][1]]

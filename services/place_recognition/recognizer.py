@@ -9,14 +9,9 @@ import logging
 from collections import Counter, defaultdict
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
 from covinz.types import (
     Camera,
-    Features,
-    FeatureType,
     Keyframe,
     KeyframeId,
     LogEntry,
@@ -24,7 +19,7 @@ from covinz.types import (
     SegmentId,
 )
 from services.place_recognition import guards, rigs
-from services.place_recognition.index import Descriptors, PlaceIndex, Vocabulary, Words
+from services.place_recognition.places import Descriptions, Places
 from services.place_recognition.rigs import JobMint, Pair, Rig, RigRule
 from services.place_recognition.track import PastQuery, QueryHistory, Track
 
@@ -37,8 +32,8 @@ PATIENCE = 2
 class Recognizer:
     """Turns log entries, in order, into jobs; the jobs are a function of the log alone.
 
-    Keyframes whose features the vocabulary cannot describe, or that have too few to pass
-    verification, take no part: not as query, nor as candidate, nor as neighbour in a rig.
+    Keyframes that have no kind of feature that is in use, or too few of it to pass verification,
+    take no part: not as query, nor as candidate, nor as neighbour in a rig.
 
     Attributes:
         counters: What happened so far, by name.
@@ -48,14 +43,12 @@ class Recognizer:
         self,
         config: PlaceRecognitionConfig,
         solver: LoopSolverConfig,
-        vocabulary: Vocabulary,
-        index: PlaceIndex,
+        places: Places,
         camera: Callable[[str], Camera | None],
     ) -> None:
         self._config = config
-        self._vocabulary = vocabulary
-        self._index = index
-        self._mint = JobMint(solver, config.rigs, vocabulary.hash)
+        self._places = places
+        self._mint = JobMint(solver, config.rigs, places.identity)
         self._rule = RigRule(config.rigs, solver, camera)
         self._tracks: dict[SegmentId, Track] = {}
         self._tracks_of: defaultdict[str, list[Track]] = defaultdict(list)
@@ -79,28 +72,24 @@ class Recognizer:
         jobs = self._begin(kf.id.segment)
         track = self._tracks[kf.id.segment]
         track.path.insert(kf)
-        features = self._usable(kf)
-        if features is not None:
+        descriptions = self._describe(kf)
+        if descriptions:
             track.insert(kf)
         # Pairs that waited for this session are older than those the keyframe brings.
         jobs += self._form(self._waiting.pop(kf.id.segment, []))
-        if features is None:
-            return jobs
-        words = self._vocabulary.words(features.descriptors)
-        jobs += self._form(self._query(kf.id, words, features.descriptors))
-        self._add(kf.id, words, features.descriptors)
+        if descriptions:
+            jobs += self._form(self._query(kf.id, descriptions))
+            self._add(kf.id, descriptions)
         return jobs
 
-    def _usable(self, kf: Keyframe) -> Features | None:
-        features = kf.features
-        if features is not None and features.type is not FeatureType.ORB:
-            self._skip(kf, "skipped.feature_type", f"features are {features.type.name}, not ORB")
-            return None
-        count = 0 if features is None else len(features)
-        if count < self._config.min_features:
-            self._skip(kf, "skipped.few_features", f"{count} features")
-            return None
-        return features
+    def _describe(self, kf: Keyframe) -> Descriptions:
+        descriptions = self._places.describe(kf)
+        counts = {block.type.name.lower(): len(block) for block in kf.all_features}
+        if not descriptions and counts and not counts.keys() & set(self._places.kinds):
+            self._skip(kf, "skipped.feature_type", f"only has {', '.join(counts)}")
+        elif not descriptions:
+            self._skip(kf, "skipped.few_features", f"features: {counts}")
+        return descriptions
 
     def _skip(self, kf: Keyframe, counter: str, reason: str) -> None:
         self.counters[counter] += 1
@@ -118,16 +107,15 @@ class Recognizer:
         self._tracks_of[segment.agent].append(self._tracks[segment])
         return jobs
 
-    def _query(self, query: KeyframeId, words: Words, descriptors: Descriptors) -> list[Pair]:
+    def _query(self, query: KeyframeId, descriptions: Descriptions) -> list[Pair]:
         track, history = self._tracks[query.segment], self._history[query.segment]
         if not guards.may_query(query.seq, track, history, self._config):
             self.counters["not_queried"] += 1
             return []
-        scores = self._index.scores(words, descriptors)
-        mask = guards.eligible(query, len(scores), self._tracks_of[query.agent], self._config)
+        mask = guards.eligible(query, len(self._places), self._tracks_of[query.agent], self._config)
         found = [
-            Pair(query, self._indexed[slot], float(scores[slot]))
-            for slot in best(scores, mask, self._config)
+            Pair(query, self._indexed[slot], score)
+            for slot, score in self._places.best(descriptions, mask)
         ]
         pairs = found
         if self._config.consistent_queries:
@@ -173,27 +161,9 @@ class Recognizer:
                 return kf.segment
         return None
 
-    def _add(self, kf: KeyframeId, words: Words, descriptors: Descriptors) -> None:
+    def _add(self, kf: KeyframeId, descriptions: Descriptions) -> None:
         if guards.may_be_candidate(kf.seq, self._config):
-            slot = self._index.add(words, descriptors)
+            slot = self._places.add(descriptions)
             self._tracks[kf.segment].set_slot(kf.seq, slot)
             self._indexed.append(kf)
             self.counters["indexed"] += 1
-
-
-def best(
-    scores: NDArray[np.float32], mask: NDArray[np.bool_], config: PlaceRecognitionConfig
-) -> list[int]:
-    """The slots of the best eligible keyframes, best first; of equal ones the older first.
-
-    Args:
-        scores: (size,) score of every keyframe in the index.
-        mask: (size,) which of them are eligible.
-        config: `num_candidates`, `min_score`, and `min_score_ratio` of the best eligible score.
-    """
-    slots = np.flatnonzero(mask & (scores > 0) & (scores >= config.min_score))
-    if not len(slots):
-        return []
-    slots = slots[scores[slots] >= config.min_score_ratio * scores[slots].max()]
-    order = np.lexsort((slots, -scores[slots]))
-    return [int(slot) for slot in slots[order[: config.num_candidates]]]

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import covinz_core as core
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from benchmarks.loop_figures import NoPose, Pose
 from benchmarks.pnp_baseline import Image, solve_pnp, triangulate
-from covinz.config import LoopSolverConfig
 from covinz.frames import inverse, local_error, so3_exp, transform
 
 Array = NDArray[np.float64]
 
 FOCAL_PX = 400.0
+MAX_ERROR_PX = 3.0
 T_BODY_CAM = transform(so3_exp([0.1, -0.2, 1.4]), [0.05, 0.02, -0.01])
 T_CAND_QUERY = transform(so3_exp([0.05, -0.1, 0.08]), [0.3, -0.2, 0.15])
 # Bodies of the candidate's rig.
@@ -42,21 +43,21 @@ def scene(count: int) -> tuple[Image, list[Image], Array]:
 
 def test_exact_data_give_the_true_pose() -> None:
     query, cand, _ = scene(80)
-    found = solve_pnp(query, cand, LoopSolverConfig())
+    found = solve_pnp(query, cand, core.MatchingOptions(), MAX_ERROR_PX)
     assert isinstance(found, Pose)
     assert np.abs(local_error(T_CAND_QUERY, found.T_cand_query)).max() < 1e-5
 
 
 def test_few_points_are_no_loop() -> None:
     query, cand, _ = scene(39)
-    assert solve_pnp(query, cand, LoopSolverConfig()) == NoPose("matches")
+    assert solve_pnp(query, cand, core.MatchingOptions(), MAX_ERROR_PX) == NoPose("matches")
 
 
 def test_wrong_matches_are_left_out() -> None:
     query, cand, _ = scene(120)
     mixed = query.bearings.copy()
     mixed[:30] = np.roll(mixed[:30], 1, axis=0)
-    found = solve_pnp(replace(query, bearings=mixed), cand, LoopSolverConfig())
+    found = solve_pnp(replace(query, bearings=mixed), cand, core.MatchingOptions(), MAX_ERROR_PX)
     assert isinstance(found, Pose)
     assert np.abs(local_error(T_CAND_QUERY, found.T_cand_query)).max() < 1e-5
 
@@ -64,9 +65,9 @@ def test_wrong_matches_are_left_out() -> None:
 def test_another_place_is_no_loop() -> None:
     query, cand, _ = scene(80)
     shuffled = np.random.default_rng(2).permutation(query.bearings)
-    assert solve_pnp(replace(query, bearings=shuffled), cand, LoopSolverConfig()) == NoPose(
-        "rig_inliers"
-    )
+    assert solve_pnp(
+        replace(query, bearings=shuffled), cand, core.MatchingOptions(), MAX_ERROR_PX
+    ) == NoPose("rig_inliers")
 
 
 def test_points_are_triangulated_where_they_are() -> None:

@@ -22,7 +22,7 @@ from covinz.types import (
     LoopJob,
     RigMember,
 )
-from services.place_recognition.index import new_index
+from services.place_recognition.places import Places
 from services.place_recognition.recognizer import Recognizer
 
 SESSIONS = {
@@ -45,10 +45,12 @@ class World:
 
     Attributes:
         vocabulary: Trained on the places' descriptors.
+        sift_vocabulary: The same of 128 bytes.
         places: (P, F, 32) descriptors of every place.
     """
 
     vocabulary: covinz_core.Vocabulary
+    sift_vocabulary: covinz_core.ByteVocabulary
     places: np.ndarray
 
     def keyframe(
@@ -59,18 +61,25 @@ class World:
         num_features: int = 60,
         kind: FeatureType = FeatureType.ORB,
         stamp_ns: int | None = None,
+        also: FeatureType | None = None,
     ) -> Keyframe:
         """Keyframe `seq` of a session by its short name: one metre and one second a `seq`."""
-        descriptors = self.places[place, :num_features]
-        if kind is FeatureType.SIFT:
-            descriptors = np.tile(descriptors, (1, 4))
+        more = () if also is None else (self.features(also, place, num_features),)
         return Keyframe(
             id=kf_id(name, seq),
             stamp_ns=seq * 1_000_000_000 if stamp_ns is None else stamp_ns,
             T_odom_body=transform(np.eye(3), [float(seq), 0.0, 0.0]),
             camera_hash=CAMERA_HASH,
-            features=Features(kind, np.zeros((num_features, 2), np.float32), descriptors),
+            features=self.features(kind, place, num_features),
+            more_features=more,
         )
+
+    def features(self, kind: FeatureType, place: int, num_features: int) -> Features:
+        """What a place shows, by one kind of feature."""
+        descriptors = self.places[place, :num_features]
+        if kind is FeatureType.SIFT:
+            descriptors = as_sift(descriptors)
+        return Features(kind, np.zeros((num_features, 2), np.float32), descriptors)
 
     def recognizer(
         self,
@@ -81,8 +90,15 @@ class World:
         """An empty recognizer over the real index; guards are off unless asked for."""
         values = {"min_loop_keyframes": 1, "min_loop_s": 0.0, "min_score": 1.0, **options}
         config = PlaceRecognitionConfig.model_validate(values)
-        index = new_index(config, self.vocabulary)
-        return Recognizer(config, solver or LoopSolverConfig(), self.vocabulary, index, cameras.get)
+        solver = solver or LoopSolverConfig()
+        vocabularies = {"orb": self.vocabulary, "sift": self.sift_vocabulary}
+        places = Places(config, solver.kinds, vocabularies)
+        return Recognizer(config, solver, places, cameras.get)
+
+
+def as_sift(descriptors: np.ndarray) -> np.ndarray:
+    """Descriptors (N, 128) that differ as those (N, 32) do."""
+    return np.tile(descriptors, (1, 4))
 
 
 def kf_id(name: str, seq: int) -> KeyframeId:
@@ -96,7 +112,8 @@ def world() -> World:
     flat = places.reshape(-1, 32)
     offsets = np.arange(0, len(flat) + 1, 60, dtype=np.int64)
     vocabulary = covinz_core.Vocabulary.train(flat, offsets, branching=8, depth=4, seed=1)
-    return World(vocabulary, places)
+    sift = covinz_core.ByteVocabulary.train(as_sift(flat), offsets, branching=8, depth=4, seed=1)
+    return World(vocabulary, sift, places)
 
 
 @pytest.fixture(scope="session")
