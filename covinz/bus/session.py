@@ -268,7 +268,7 @@ class ZenohBus:
                 logger.debug("no router at %s: %s", self._config.endpoint, error)
                 self._closing.wait(pause_s)
                 if pause_s < _MAX_RETRY_S <= 2 * pause_s:
-                    self._link.say_missing("not yet at")
+                    self._link.say_missing()
                 pause_s = min(2 * pause_s, _MAX_RETRY_S)
             else:
                 if self._attach(session):
