@@ -12,7 +12,7 @@ from types import TracebackType
 from covinz import codec, keyexprs
 from covinz.access.credentials import SUFFIX, agent_bus
 from covinz.bus import Bus, ZenohBus
-from covinz.config import Config
+from covinz.config import BusConfig, Config
 from covinz.corrections import CorrectionFeed
 from covinz.frames import is_rigid
 from covinz.machine import THIS_MACHINE, Machine
@@ -85,10 +85,12 @@ class Agent:
         self._on_rejected = on_rejected
         self._sending = threading.Lock()  # session and sequence number go together
         self._closed = False
+        way = _way(agent_id, bus, credentials, self._config)
         with ExitStack() as undo:
             self._spool = Spool(Path(spool), agent_id, self._config.agent.max_spool_bytes)
             undo.callback(self._spool.close)
-            self._bus, self._own_bus = _bus(agent_id, bus, credentials, self._config)
+            self._own_bus = isinstance(way, BusConfig)
+            self._bus: Bus = ZenohBus.open(way) if isinstance(way, BusConfig) else way
             if self._own_bus:
                 undo.callback(self._bus.close)
             self._uploader = Uploader(
@@ -217,17 +219,17 @@ def _session(session: str | None, machine: Machine) -> str:
     return session
 
 
-def _bus(
+def _way(
     agent_id: str, bus: Bus | Path | str, file: Path | str | None, config: Config
-) -> tuple[Bus, bool]:
-    """The bus to use, and whether it is ours to close."""
+) -> Bus | BusConfig:
+    """The caller's bus, or how to open one."""
     if not isinstance(bus, Path | str):
-        return bus, False
+        return bus
     if isinstance(bus, Path) or bus.endswith(SUFFIX):
-        return ZenohBus.open(agent_bus(agent_id, config.bus, Path(bus))), True
+        return agent_bus(agent_id, config.bus, Path(bus))
     if file is not None:
-        return ZenohBus.open(agent_bus(agent_id, config.bus, Path(file), bus)), True
-    return ZenohBus.open(config.bus.model_copy(update={"endpoint": bus})), True
+        return agent_bus(agent_id, config.bus, Path(file), bus)
+    return config.bus.model_copy(update={"endpoint": bus})
 
 
 def _keyframe(name: KeyframeId, content: KeyframeContent) -> Keyframe:

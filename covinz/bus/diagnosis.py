@@ -38,6 +38,8 @@ def why_not(config: BusConfig) -> str:
         own = None if config.credentials is None else credentials.read(config.credentials)
     except CredentialsError as error:
         return str(error)
+    if own is not None and own.is_expired:
+        return _REFUSALS["CERTIFICATE_EXPIRED"].format(name=own.name, until=own.until)
     try:
         link = socket.create_connection((endpoint.host, endpoint.port), _TIMEOUT_S)
     except socket.gaierror:
@@ -68,7 +70,7 @@ def _handshake(link: socket.socket, host: str, own: Credentials) -> str:
             secured.settimeout(_REFUSAL_S)
             secured.recv(1)
     except TimeoutError:
-        return "it accepts these credentials, but opens no session; it may be overloaded"
+        return "it accepts these credentials; a session should open soon"
     except ssl.SSLCertVerificationError as error:
         return _distrusted(error, host)
     except ssl.SSLError as error:
