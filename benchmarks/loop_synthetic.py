@@ -27,6 +27,7 @@ from typing import Any
 import covinz_core as core
 import numpy as np
 
+from benchmarks.loop_conditions import CONDITIONS, Condition
 from benchmarks.loop_figures import (
     Limits,
     Result,
@@ -40,7 +41,7 @@ from benchmarks.loop_figures import (
     timed,
 )
 from benchmarks.loop_peers import solve_poselib
-from benchmarks.loop_problems import CONDITIONS, T_BODY_CAM, Array, Condition, LoopProblem, generate
+from benchmarks.loop_problems import T_BODY_CAM, Array, LoopProblem, generate
 from covinz import frames
 from covinz.config import LoopSolverConfig
 from services.loop_solver.solver import fast_loop_options, loop_options

@@ -107,7 +107,8 @@ def accuracy_section(report: Report) -> str:
     for name, compared in report["fast_over_paper"].items():
         loops = compared["accepted"]
         many = "" if loops is None else f"{loops:.1f} loops for each one of `paper`, "
-        text += f"- {name}: {many}{times(compared['speedup_median'])} as fast (median).\n"
+        fast = times(compared["speedup_median"])
+        text += f"- {name}: {many}{fast} as fast (median of {compared['jobs']} attempts of both).\n"
     for name, methods in found:
         rejected = "; ".join(
             f"{_METHODS[method]} {stages(figures['rejected'])}"

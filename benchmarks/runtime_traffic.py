@@ -38,7 +38,7 @@ _DATA = Path(os.environ.get("COVINZ_DATA", _REPOSITORY.parent / "shared" / "data
 PROFILES = ("paper", "fast")
 # Scenario, and the recording that it needs.
 SCENARIOS = {"hall": None, "redkitchen": "redkitchen"}
-DEFAULT_SAMPLE = 150
+DEFAULT_SAMPLE = 100
 # Table III of the paper: loops found, mean and standard deviation of the time per loop, and what a
 # robot sends.
 PUBLISHED = {

@@ -149,14 +149,18 @@ void RigRefinementOptions::Check() const {
 RigRefinement RefineRigs(const RefinedRig& cand,
                          const RefinedRig& query,
                          const RigTracks& tracks,
-                         const Eigen::Isometry3d& T_cand_query,
+                         const RigPoses& start,
                          const RigRefinementOptions& options) {
   options.Check();
   cand.Check();
   query.Check();
+  if (start.T_cand_cam.size() != cand.T_rig_cam.size() ||
+      start.T_query_cam.size() != query.T_rig_cam.size()) {
+    throw std::invalid_argument("RefineRigs: a start must have the cameras of the rigs");
+  }
   const RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
   RigAdjustmentState state;
-  state.T_world_cam = CamerasInWorld(cand.T_rig_cam, query.T_rig_cam, T_cand_query);
+  state.T_world_cam = CamerasInWorld(start.T_cand_cam, start.T_query_cam, start.T_cand_query);
   state.points = Triangulate(problem, state.T_world_cam);
   RigRefinement result;
   result.num_iterations = Minimize(problem, options, state, result.cost);
@@ -167,6 +171,14 @@ RigRefinement RefineRigs(const RefinedRig& cand,
   }
   result.points = std::move(state.points);
   return result;
+}
+
+RigRefinement RefineRigs(const RefinedRig& cand,
+                         const RefinedRig& query,
+                         const RigTracks& tracks,
+                         const Eigen::Isometry3d& T_cand_query,
+                         const RigRefinementOptions& options) {
+  return RefineRigs(cand, query, tracks, {cand.T_rig_cam, query.T_rig_cam, T_cand_query}, options);
 }
 
 }  // namespace covinz

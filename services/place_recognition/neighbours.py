@@ -17,6 +17,7 @@ Source: decision 0021.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -133,17 +134,14 @@ def _common(
     T_odom_cam: Array, cameras: Sequence[Camera], reference: int, rigs: RigConfig
 ) -> _Common:
     """What the cameras have in common with the reference if the scene is at `depth_m`."""
-    camera = cameras[reference]
-    across, down = ((np.arange(n) + 0.5) / n for n in _GRID)
-    at = np.stack(np.meshgrid(across * camera.width, down * camera.height), -1).reshape(-1, 2)
-    rays = _bearings(camera, at - 0.5)
+    views = [_view(camera) for camera in cameras]
+    rays = views[reference].rays
     T_ref_cam = frames.inverse(T_odom_cam[reference]) @ T_odom_cam
     rays_ref = rigs.depth_m * rays - T_ref_cam[:, None, :3, 3]
     rays_cam = rays_ref @ T_ref_cam[:, :3, :3]
     angles = np.arctan2(rays_cam[..., :2], rays_cam[..., 2:])
-    limits = {key: _limits(each) for key, each in {id(each): each for each in cameras}.items()}
-    low, high = np.moveaxis(np.stack([limits[id(each)] for each in cameras]), 1, 0)
-    seen = ((angles >= low[:, None]) & (angles <= high[:, None])).all(axis=-1)
+    low, high = (np.stack([view.limits[side] for view in views])[:, None] for side in (0, 1))
+    seen = ((angles >= low) & (angles <= high)).all(axis=-1)
     distance_m = np.maximum(np.linalg.norm(rays_ref, axis=-1), 1e-9)
     cosine = (rays_ref * rays).sum(axis=-1) / distance_m
     turned_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -152,13 +150,29 @@ def _common(
     return _Common(seen.mean(axis=-1), matched.mean(axis=-1))
 
 
-def _limits(camera: Camera) -> Array:
-    """(2, 2) angles [rad] of a view from the optical axis: left and top, right and bottom."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What a calibration says of a view.
+
+    Attributes:
+        rays: (M, 3) unit vectors that stand for it.
+        limits: (2, 2) angles [rad] from the optical axis: left and top, right and bottom.
+    """
+
+    rays: Array
+    limits: Array
+
+
+@functools.lru_cache(maxsize=64)
+def _view(camera: Camera) -> _View:
+    across, down = ((np.arange(n) + 0.5) / n for n in _GRID)
+    at = np.stack(np.meshgrid(across * camera.width, down * camera.height), -1).reshape(-1, 2)
     x, y = camera.width / 2 - 0.5, camera.height / 2 - 0.5
     right, bottom = camera.width - 1.0, camera.height - 1.0
     border = _bearings(camera, np.array([[0.0, y], [x, 0.0], [right, y], [x, bottom]]))
     angles = np.arctan2(border[:, :2], border[:, 2:])
-    return angles[[0, 1, 2, 3], [0, 1, 0, 1]].reshape(2, 2)
+    limits = angles[[0, 1, 2, 3], [0, 1, 0, 1]].reshape(2, 2)
+    return _View(_bearings(camera, at - 0.5), limits)
 
 
 def _bearings(camera: Camera, at_px: Array) -> Array:

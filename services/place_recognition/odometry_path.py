@@ -21,6 +21,9 @@ class OdometryPath:
         self._seqs: list[int] = []
         self._keyframes: list[tuple[Array, Array | None]] = []
 
+    def __len__(self) -> int:
+        return len(self._seqs)
+
     def insert(self, kf: Keyframe) -> None:
         """Add a keyframe; raises ValueError when it is there already."""
         at = bisect_left(self._seqs, kf.id.seq)

@@ -63,10 +63,17 @@ class RigRule:
         self._camera = camera
         by_profile = "index" if solver.profile == "paper" else "geometry"
         self._by_geometry = (rigs.neighbours or by_profile) == "geometry"
+        # The candidates of a query mostly share its rig.
+        self._last_query: tuple[object, Rig | None] = (None, None)
 
     def query(self, pair: Pair, track: Track) -> Rig | None:
         """S_q, from the query's session; None while that has too few keyframes."""
-        return self._rig(track, pair.query, pair.cand, self._config.query_size)
+        rival = pair.cand if pair.cand.segment == pair.query.segment else None
+        key = (track, len(track.path), pair.query, rival)
+        if key != self._last_query[0]:
+            rig = self._rig(track, pair.query, pair.cand, self._config.query_size)
+            self._last_query = (key, rig)
+        return self._last_query[1]
 
     def cand(self, pair: Pair, track: Track) -> Rig | None:
         """S_c, from the candidate's session; None while that has too few keyframes."""

@@ -98,6 +98,9 @@ EXAMPLES: dict[str, Any] = {
     ),
     "Keyframe": KEYFRAME,
     "Keyframe-sift": types.Keyframe(CAND, 0, turn(0, 0, 0), HASH, SIFT),
+    "Keyframe-two_kinds": types.Keyframe(
+        CAND, 0, turn(0, 0, 0), HASH, ORB, more_features=(SIFT,)
+    ),
     "Keyframe-pose": types.Keyframe(CAND, 5, turn(0, 0, 0), HASH, None),
     "Gap": GAP,
     "UploadReply-stored": types.Stored(),

@@ -42,7 +42,7 @@ struct FastLoopOptions {
   int max_num_trial_iterations = 4;
   // The best one, and those that it is not clearly ahead of, are then refined to the end ...
   // ... over the matches that they explain, chosen anew at most so often.
-  int max_num_rounds = 3;
+  int max_num_rounds = 8;
   // Matches that the solution must explain in all; there is no least number a pair. [paper III-B2]
   int min_num_inliers = 100;
   // Two cameras of one rig must be further apart than this [m], or there is no scale.

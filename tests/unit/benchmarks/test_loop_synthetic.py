@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.loop_conditions import CONDITIONS
 from benchmarks.loop_figures import Pose
 from benchmarks.loop_peers import solve_poselib
-from benchmarks.loop_problems import CONDITIONS, generate
+from benchmarks.loop_problems import generate
 from benchmarks.loop_synthetic import METHODS, measure
 from covinz.frames import local_error
 

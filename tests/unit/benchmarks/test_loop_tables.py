@@ -38,7 +38,7 @@ ATTEMPTS = METHOD | {
     "nees_mean_without_truth": 121.5, "nees_analytic_mean": 456.7,
 }  # fmt: skip
 ACCURACY: dict[str, Any] = {
-    "fast_over_paper": {"redkitchen": {"accepted": 2.83, "speedup_median": 6.61}},
+    "fast_over_paper": {"redkitchen": {"jobs": 263, "accepted": 2.83, "speedup_median": 6.61}},
     "redkitchen": {name: ATTEMPTS for name in ("paper", "fast", "pnp")},
     "fr1_rpy": {"fast": ATTEMPTS},
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -82,6 +83,16 @@ keyframes = st.builds(
     st.none() | covariances | st.just(np.zeros((6, 6))),
     st.none() | generators.map(_unit),
     st.none() | st.binary(max_size=40),
+)
+# The same with another kind of feature, where there is room for one.
+keyframes = st.builds(
+    lambda kf, more: (
+        dataclasses.replace(kf, more_features=(more,))
+        if kf.features is not None and kf.features.type is not more.type
+        else kf
+    ),
+    keyframes,
+    features,
 )
 gaps = st.tuples(counts, counts).flatmap(
     lambda seqs: st.builds(types.Gap, agents, ulids, st.just(min(seqs)), st.just(max(seqs)), texts)
