@@ -141,6 +141,9 @@ void RigRefinementOptions::Check() const {
         max_inverse_distance_per_m > 0.0)) {
     throw std::invalid_argument("RigRefinementOptions: sigmas, losses and limits must be positive");
   }
+  if (!IsSupported(instruction_set)) {
+    throw std::invalid_argument("RigRefinementOptions: this processor lacks the instruction set");
+  }
   if (max_num_iterations < 0 || !(min_relative_decrease >= 0.0)) {
     throw std::invalid_argument("RigRefinementOptions: iterations and decrease must be >= 0");
   }
@@ -158,7 +161,8 @@ RigRefinement RefineRigs(const RefinedRig& cand,
       start.T_query_cam.size() != query.T_rig_cam.size()) {
     throw std::invalid_argument("RefineRigs: a start must have the cameras of the rigs");
   }
-  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  problem.blocks = BlockTracks(problem);
   RigAdjustmentState state;
   state.T_world_cam = CamerasInWorld(start.T_cand_cam, start.T_query_cam, start.T_cand_query);
   state.points = Triangulate(problem, state.T_world_cam);

@@ -90,10 +90,8 @@ LoopEstimate MakeEstimate(const LoopProblem& problem,
 LoopResult Estimate(const LoopProblem& problem, const FastLoopOptions& options, StageClock& clock) {
   const double min_num_inliers = static_cast<double>(options.min_num_inliers);
   clock.Start("hypotheses");
-  RigHypothesisOptions hypothesis_options = options.hypotheses;
-  hypothesis_options.instruction_set = options.instruction_set;
   const std::vector<RigHypothesis> hypotheses =
-      EstimateRigHypotheses(problem.matched.rigs, hypothesis_options, options.seed);
+      EstimateRigHypotheses(problem.matched.rigs, options.hypotheses, options.seed);
   clock.Start("refinement");
   std::vector<RigSolution> solutions = FindContenders(problem, hypotheses, options);
   // A search finds better optima, not twice as many inliers.
@@ -162,9 +160,11 @@ void FastLoopOptions::Check() const {
 LoopResult SolveLoopFast(const LoopRig& query,
                          const LoopRig& cand,
                          const FastLoopOptions& options) {
-  options.Check();
+  FastLoopOptions all = options;
+  all.hypotheses.instruction_set = all.refinement.instruction_set = options.instruction_set;
+  all.Check();
   StageClock clock;
-  LoopResult result = Solve(query, cand, options, clock);
+  LoopResult result = Solve(query, cand, all, clock);
   std::visit([&clock](auto& value) { value.stage_ms = clock.Times(); }, result);
   return result;
 }

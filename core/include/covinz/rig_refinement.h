@@ -7,6 +7,7 @@
 #include <Eigen/Geometry>
 
 #include "covinz/bearing_residual.h"
+#include "covinz/instruction_set.h"
 #include "covinz/rig_tracks.h"
 #include "covinz/se3.h"
 
@@ -49,6 +50,7 @@ struct RigRefinementOptions {
   int max_num_iterations = 8;
   // Stop when an iteration lowers the cost by less than this part.
   double min_relative_decrease = 1e-4;
+  InstructionSet instruction_set = BestInstructionSet();
 
   void Check() const;  // throws std::invalid_argument
 };
@@ -84,8 +86,8 @@ struct RigPoses {
 // Levenberg-Marquardt; points are eliminated (Schur complement), so a step solves for 24 unknowns
 // for the usual 2 + 3 cameras. Points start triangulated at the given poses.
 //
-// Deterministic. Throws std::invalid_argument on malformed input and for tracks or a start of other
-// cameras than the rigs have.
+// Deterministic. Throws std::invalid_argument on malformed input, for tracks or a start of other
+// cameras than the rigs have, and where the processor lacks the instruction set.
 //
 // Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999; decision 0020.
 RigRefinement RefineRigs(const RefinedRig& cand,

@@ -53,7 +53,7 @@ struct FastLoopOptions {
   // Largest translation [m] and rotation [rad] between the reference keyframes. Off by default.
   double max_translation_m = std::numeric_limits<double>::infinity();
   double max_rotation_rad = std::numeric_limits<double>::infinity();
-  // Of all kernels, in place of hypotheses.instruction_set. Results differ by rounding at most.
+  // Of all kernels, in place of those of the stages. Results differ by rounding at most.
   InstructionSet instruction_set = BestInstructionSet();
   // Same seed and input, same result.
   uint64_t seed = 0;

@@ -19,6 +19,7 @@ METHOD: dict[str, Any] = {
     "success_of_all": 0.97, "t_err_median_m": 0.0123, "t_err_p95_m": 0.0456,
     "r_err_median_deg": 0.051, "r_err_p95_deg": 0.123, "nees_mean": 5.43, "nees_median": 4.0,
     "nees_over_22_5": 0.011, "ms_median": 6.54, "ms_p95": 9.87,
+    "stage_ms_mean": {"matching": 57.4},
 }  # fmt: skip
 NOTHING = METHOD | {
     "accepted": 0, "rejected": {"uncertainty": 100}, "success": None, "t_err_median_m": None,
@@ -51,6 +52,7 @@ def test_generated_loops_are_all_there() -> None:
         in text
     )
     assert "| - | uncertainty 100 | - | - | - | - | 6.5 / 9.9 ms |" in text
+    assert "`paper` takes 78 ms, of which 57 ms are matching" in text
     assert "16.1 times as fast as `paper`" in text
     assert "8.9 times with the portable code path" in text
 
