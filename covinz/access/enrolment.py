@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 from secrets import token_hex
 
 from covinz.access import certificates, credentials
@@ -33,6 +35,7 @@ SERVER_LIFETIME = timedelta(days=3650)
 _LOOPBACK = "127.0.0.1"
 # Names under which the server is reached from its own machine or Compose network.
 LOCAL_HOSTS = ("localhost", _LOOPBACK, "::1", "router")
+_HOST_NAME = re.compile(r"(?=.{1,253}$)[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63})*")
 _HEADER = (
     "# Who may connect to this covinz server. `covinz roster add|remove|list` keeps it;\n"
     "# the router follows within a second.\n"
@@ -74,6 +77,8 @@ def add(roster: Roster, wanted: Request) -> Credentials:
     name = wanted.name
     if not AGENT_PATTERN.fullmatch(name) or name == SERVER:
         raise RosterError(f"{name!r} cannot be a name: [a-z0-9][a-z0-9_-]{{0,31}}, not {SERVER}")
+    if wanted.host is not None and not _is_host(wanted.host):
+        raise RosterError(f"{wanted.host!r} is no host name or IP address")
     with _changing(roster) as content:
         if name in content.members and not wanted.replace:
             raise RosterError(
@@ -170,6 +175,14 @@ def _write_server(roster: Roster, own: Credentials, port: int) -> None:
 
 def _write(roster: Roster, content: RosterFile) -> None:
     write_secret(roster.file, _HEADER + dump(content.model_dump(mode="json")))
+
+
+def _is_host(text: str) -> bool:
+    try:
+        ip_address(text)
+    except ValueError:
+        return _HOST_NAME.fullmatch(text) is not None
+    return True
 
 
 @contextmanager
