@@ -70,8 +70,9 @@ def synthetic_section(report: Report) -> str:
         matching = paper["stage_ms_mean"].get("matching", 0.0)
         text += (
             f"\n`paper` takes {paper['ms_median']:.0f} ms, of which {matching:.0f} ms are matching"
-            " by OpenCV. Before it was written its parts, measured one by one on such problems, added"
-            " up to 189 ms, 114 of them matching; `fast` is compared with what `paper` takes now.\n"
+            " by OpenCV. Before it was written its parts, measured one by one on such problems,"
+            " added up to 189 ms, 114 of them matching; `fast` is compared with what `paper` takes"
+            " now.\n"
         )
     return text + (
         f"\n`fast` is {times(report['speedup_median'])} as fast as `paper` on the first kind,"
