@@ -97,8 +97,8 @@ class RigConfig(Section):
     # robots see, since of a distant scene they share more. [m; generated problems: 2 to 15 m]
     depth_m: Positive = 2.0
     # Change of a point's viewing direction [rad], or of the logarithm of its distance, that costs
-    # half of the matches. [20 degrees, and two levels of ORB's pyramid; Mikolajczyk and Schmid, "A
-    # performance evaluation of local descriptors", 2005]
+    # half of the matches. [20 degrees, and two levels of ORB's pyramid; order of magnitude as in
+    # Mikolajczyk and Schmid, "A performance evaluation of local descriptors", PAMI 2005]
     half_view_change: Positive = 0.35
     # Cameras in whose view less than this part of the reference's view is form no rig with it if
     # there are better ones.
