@@ -70,8 +70,9 @@ def synthetic_section(report: Report) -> str:
         matching = paper["stage_ms_mean"].get("matching", 0.0)
         text += (
             f"\n`paper` takes {paper['ms_median']:.0f} ms, of which {matching:.0f} ms are matching"
-            " by OpenCV. Before it was written its parts, measured one by one on such problems, added"
-            " up to 189 ms, 114 of them matching; `fast` is compared with what `paper` takes now.\n"
+            " by OpenCV. Before it was written its parts, measured one by one on such problems,"
+            " added up to 189 ms, 114 of them matching; `fast` is compared with what `paper` takes"
+            " now.\n"
         )
     return text + (
         f"\n`fast` is {times(report['speedup_median'])} as fast as `paper` on the first kind,"
@@ -216,8 +217,8 @@ def brief(synthetic: Report, accuracy: Report) -> str:
             continue
         found = of(accuracy[name], "pnp")
         rows += [
-            [f"{_SCENARIOS[name]}: accepted (wrong) of {found[1]['jobs']}"]
-            + [f"{m['accepted']} ({m['wrong']})" for m in found],
+            [f"{_SCENARIOS[name]}: accepted (wrong) of attempts"]
+            + [f"{m['accepted']} ({m['wrong']}) of {m['jobs']}" for m in found],
             ["the same: error, median"]
             + [pose_error(m["t_err_median_m"], m["r_err_median_deg"]) for m in found],
             ["the same: mean NEES"] + [number(m["nees_mean"]) for m in found],
