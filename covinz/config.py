@@ -44,8 +44,17 @@ class Section(BaseModel):
 class BusConfig(Section):
     """The Zenoh session of every process."""
 
-    # Where the router listens and everyone else connects.
+    # Where everyone connects: tcp/, tls/ or quic/ and host:port.
     endpoint: str = "tcp/127.0.0.1:7447"
+    # Where the router listens; empty: at `endpoint`. Beyond this machine only with TLS or QUIC.
+    listen: tuple[str, ...] = ()
+    # The file NAME.covinz that `covinz roster add` wrote; TLS and QUIC need it. [decision 0024]
+    credentials: Path | None = None
+    # Folder of the roster: whom the router lets in. None: everybody who can connect.
+    roster: Path | None = None
+    # The router may listen beyond this machine without encryption: whoever reaches it can send as
+    # any robot and read every map. Only for a network that nobody else is on, as in Compose.
+    insecure: bool = False
     # Larger messages are refused by the transport. [decision 0002]
     max_message_bytes: PositiveInt = 16 * 1024 * 1024
     # A query without an answer fails after this long. [s]

@@ -68,7 +68,7 @@ def test_paths_exist() -> None:
 
 def test_files_named_without_a_folder_exist() -> None:
     made_by_users = {"rgb.txt", "calib.yaml", "calib.txt", "config.yaml", "report.json"}
-    made_by_users |= {"sensor.yaml", "groundtruth.txt"}
+    made_by_users |= {"sensor.yaml", "groundtruth.txt", "roster.yaml"}
     tracked = {
         path.name
         for folder in (ROOT / name for name in FOLDERS.split("|"))
