@@ -156,7 +156,7 @@ void BindLoopResult(nb::module_& m) {
               "Of the fast profile: (6, 6), the inverse Hessian alone, for comparison; else None.")
       .def_prop_ro(
           "stage_ms", [](const LoopEstimate& self) { return ToPairs(self.stage_ms); },
-          "Wall time of the stages, in order: (name, ms). matching, pairs (of the paper profile),\n"
+          "CPU time of the stages, in order: (name, ms). matching, pairs (of the paper profile),\n"
           "rig or hypotheses and refinement, covariance. Differs from run to run.");
   nb::class_<LoopSolution>(m, "LoopSolution", "One of several solutions that are alike.")
       .def_prop_ro(

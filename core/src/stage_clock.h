@@ -1,7 +1,7 @@
 // How long the stages of one solve take.
 #pragma once
 
-#include <chrono>
+#include <ctime>
 #include <utility>
 #include <vector>
 
@@ -14,8 +14,8 @@ class StageClock {
   // Ends the stage that runs, if any.
   void Start(const char* name) {
     End();
-    begin_ = std::chrono::steady_clock::now();
     times_.push_back({name, 0.0});
+    begin_ms_ = Now_ms();
   }
 
   // Of the stages so far, in order.
@@ -26,13 +26,16 @@ class StageClock {
 
  private:
   void End() {
-    if (times_.empty()) return;
-    const std::chrono::duration<double, std::milli> time =
-        std::chrono::steady_clock::now() - begin_;
-    times_.back().ms = time.count();
+    if (!times_.empty()) times_.back().ms = Now_ms() - begin_ms_;
   }
 
-  std::chrono::steady_clock::time_point begin_;
+  static double Now_ms() {
+    timespec now;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return 1e3 * static_cast<double>(now.tv_sec) + 1e-6 * static_cast<double>(now.tv_nsec);
+  }
+
+  double begin_ms_ = 0.0;
   std::vector<StageTime> times_;
 };
 

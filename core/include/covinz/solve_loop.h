@@ -62,9 +62,9 @@ struct LoopOptions {
   void Check() const;  // throws std::invalid_argument
 };
 
-// Wall time of one stage of a solve: "matching", "pairs" (the paper's pre-filter), "rig" (its
-// 17-point RANSAC and test of scale) or "hypotheses" and "refinement" (the fast profile's, the
-// choice included), "covariance".
+// CPU time of the thread in one stage of a solve: "matching", "pairs" (the paper's pre-filter),
+// "rig" (its 17-point RANSAC and test of scale) or "hypotheses" and "refinement" (the fast
+// profile's, the choice included), "covariance".
 struct StageTime {
   std::string name;
   double ms;
