@@ -19,6 +19,8 @@ from covinz.types import Status
 
 # To connect, and for everybody to be seen. [s]
 WAIT_S = 5.0
+# Until all tokens that are there have come; nothing says which is the last. [s]
+SETTLE_S = 1.0
 EXPIRES_SOON = timedelta(days=30)
 # Without one of these nothing goes on; loop solvers have a number in their names.
 SERVICES = ("router", "ingest", "place_recognition", "loop_solver", "optimizer")
@@ -62,7 +64,7 @@ def examine(config: BusConfig) -> Iterator[Finding]:
             yield Finding(Verdict.BAD, f"no way to {config.endpoint}: {why_not(config)}")
             return
         yield Finding(Verdict.GOOD, f"connected to {config.endpoint}")
-        yield from _robot(bus, own.name) if own and own.role == "agent" else _server(bus)
+        yield from of_robot(bus, own.name) if own and own.role == "agent" else of_server(bus)
 
 
 def _credentials(path: Path) -> tuple[Credentials | None, Finding]:
@@ -78,31 +80,31 @@ def _credentials(path: Path) -> tuple[Credentials | None, Finding]:
     return own, Finding(verdict, f"{what}, good for {left.days} days")
 
 
-def _robot(bus: Bus, agent: str) -> Iterator[Finding]:
+def of_robot(bus: Bus, agent: str, wait_s: float = WAIT_S) -> Iterator[Finding]:
     """What a robot needs: somebody who takes its uploads and corrects it."""
     for key, who, what in (
         (keyexprs.agent_keyframe(agent), "ingest", "takes uploads"),
         (keyexprs.agent_correction(agent), "optimizer", "gives corrections"),
     ):
-        if _is_answered(bus, key):
+        if _is_answered(bus, key, wait_s):
             yield Finding(Verdict.GOOD, f"{who} {what}")
         else:
             yield Finding(Verdict.BAD, f"nobody {what}: {who} is not up on the server")
             return
-    replies = bus.ask(keyexprs.agent_correction(agent), timeout_s=WAIT_S)
+    replies = bus.ask(keyexprs.agent_correction(agent), timeout_s=wait_s)
     if replies:
         yield Finding(Verdict.GOOD, f"{agent} has been corrected: its keyframes are in a map")
     else:
         yield Finding(Verdict.ODD, f"no correction yet: no keyframe of {agent} is in a map")
 
 
-def _is_answered(bus: Bus, key: str) -> bool:
+def _is_answered(bus: Bus, key: str, wait_s: float) -> bool:
     there = threading.Event()
     with closing(bus.watch_answered(key, lambda answered: there.set() if answered else None)):
-        return there.wait(WAIT_S)
+        return there.wait(wait_s)
 
 
-def _server(bus: Bus) -> Iterator[Finding]:
+def of_server(bus: Bus, settle_s: float = SETTLE_S) -> Iterator[Finding]:
     """What an operator sees: every process, what waits, and what each robot sent."""
     found = client.statuses(bus)
     names = {status.service for status in found}
@@ -119,7 +121,7 @@ def _server(bus: Bus) -> Iterator[Finding]:
     yield Finding(Verdict.GOOD, "nothing waits" if now.idle else f"at work: {now}")
     for status in found:
         if status.service == "ingest":
-            yield from _robots(status, _alive(bus))
+            yield from _robots(status, _alive(bus, settle_s))
 
 
 def _robots(ingest: Status, alive: set[str]) -> Iterator[Finding]:
@@ -144,7 +146,7 @@ def _robots(ingest: Status, alive: set[str]) -> Iterator[Finding]:
             )
 
 
-def _alive(bus: Bus) -> set[str]:
+def _alive(bus: Bus, settle_s: float) -> set[str]:
     """Robots that hold their token."""
     seen: set[str] = set()
     settled = threading.Event()
@@ -154,8 +156,7 @@ def _alive(bus: Bus) -> set[str]:
             seen.add(keyexprs.agent_of(key))
 
     with closing(bus.watch_alive(keyexprs.AGENTS_ALIVE, see)):
-        # Tokens that are there come at once; nothing says which is the last.
-        settled.wait(1.0)
+        settled.wait(settle_s)
     return set(seen)
 
 
