@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -83,7 +82,7 @@ class Agent:
         self._machine = machine
         self._session = _session(session, machine)
         self._on_rejected = on_rejected
-        self._sending = threading.Lock()  # session and sequence number go together
+        self._sending = machine.lock()  # session and sequence number go together
         self._closed = False
         way = _way(agent_id, bus, credentials, self._config)
         with ExitStack() as undo:

@@ -299,10 +299,13 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
       rows * (H_prior + variance.independent * H_keypoints) * rows.transpose() +
       variance.shared * cells.TimesCorrelation(cells_rows) * cells_rows.transpose();
   const Matrix6d Ad = AdjointSE3(query.T_rig_cam[0]);
-  const Matrix6d covariance = Ad * camera * Ad.transpose();
-  return {0.5 * (covariance + covariance.transpose()),
-          std::sqrt(variance.independent) * refinement_options.sigma_px,
-          std::sqrt(variance.shared) * refinement_options.sigma_px};
+  const auto to_body = [&Ad](const Matrix6d& of_camera) {
+    const Matrix6d moved = Ad * of_camera * Ad.transpose();
+    return Matrix6d(0.5 * (moved + moved.transpose()));
+  };
+  return {to_body(camera), std::sqrt(variance.independent) * refinement_options.sigma_px,
+          std::sqrt(variance.shared) * refinement_options.sigma_px,
+          to_body(inverse.block<6, 6>(q, q))};
 }
 
 }  // namespace covinz

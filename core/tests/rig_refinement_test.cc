@@ -154,6 +154,17 @@ TEST(RefineRigs, CovarianceIsHonestWhenNeighboursShareTheirErrors) {
   }
 }
 
+TEST(RefineRigs, TheAnalyticCovarianceIsThatOfIndependentErrorsAsLargeAsTold) {
+  RefinementProblemOptions options = Ordinary(4);
+  const auto ratio_of_variances = [](const RefinementProblemOptions& o) {
+    const CalibratedRefinement refined = Refine(MakeRefinementProblem(o));
+    return (refined.analytic.inverse() * refined.covariance).trace() / 6.0;
+  };
+  EXPECT_NEAR(ratio_of_variances(options), 1.0, 0.5);
+  options.shared_px = 1.0;
+  EXPECT_GT(ratio_of_variances(options), 2.0);
+}
+
 TEST(RefineRigs, SharedErrorsAreToldFromIndependentOnes) {
   RefinementProblemOptions options = Ordinary(3);
   EXPECT_LT(Refine(MakeRefinementProblem(options)).shared_px, 0.3);
@@ -302,6 +313,35 @@ TEST(RefineRigs, MotionResidualsShowWrongOdometry) {
     }
   }
   EXPECT_NEAR(Median(told_half) / Median(told_right), 4.0, 1.5);
+}
+
+TEST(RefineRigs, ContinuesFromPosesThatARefinementLeft) {
+  RefinementProblemOptions problem_options;
+  problem_options.seed = 12;
+  const RefinementProblem problem = MakeRefinementProblem(problem_options);
+  const RigTracks tracks = problem.Tracks(problem.T_cand_query);
+  RigRefinementOptions options;
+  options.max_num_iterations = 30;
+  options.min_relative_decrease = 1e-9;
+  const RigRefinement whole =
+      RefineRigs(problem.cand, problem.query, tracks, problem.T_cand_query, options);
+  options.max_num_iterations = 1;
+  const RigRefinement begun =
+      RefineRigs(problem.cand, problem.query, tracks, problem.T_cand_query, options);
+  options.max_num_iterations = 30;
+  const RigPoses start{begun.T_cand_cam, begun.T_query_cam, begun.T_cand_query};
+  const RigRefinement continued = RefineRigs(problem.cand, problem.query, tracks, start, options);
+  EXPECT_GT(begun.cost, whole.cost);
+  EXPECT_NEAR(continued.cost, whole.cost, 1e-5 * whole.cost);
+  EXPECT_LT(PoseError(whole.T_cand_query, continued.T_cand_query).norm(), 1e-3);
+  // Odometry is what it was: the motion residuals are not of the start.
+  for (size_t m = 0; m < whole.motion_residuals.size(); ++m) {
+    EXPECT_LT((whole.motion_residuals[m] - continued.motion_residuals[m]).norm(), 0.02);
+  }
+  RigPoses missing = start;
+  missing.T_cand_cam.pop_back();
+  EXPECT_THROW(RefineRigs(problem.cand, problem.query, tracks, missing, options),
+               std::invalid_argument);
 }
 
 TEST(RefineRigs, NoTracksLeaveTheStart) {

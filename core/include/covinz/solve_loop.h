@@ -87,6 +87,9 @@ struct LoopEstimate {
   // that it shares with its neighbours.
   double independent_px = 0.0;
   double shared_px = 0.0;
+  // Of the fast profile: `covariance` were all errors independent and as large as told, for
+  // comparison.
+  std::optional<Matrix6d> analytic_covariance = std::nullopt;
   // In order; the one thing that differs from run to run.
   std::vector<StageTime> stage_ms = {};
 };
@@ -105,7 +108,8 @@ struct LoopRejection {
   // "matches"       matches of a pair < min_num_matches
   // "pair_inliers"  five-point inliers of a pair < min_num_pair_inliers
   // "rig_inliers"   17-point inliers < min_num_rig_inliers
-  // "scale"         part of them that needs no baseline > scale.max_common_centre_ratio
+  // "scale"         part of them that needs no baseline > scale.max_common_centre_ratio; of the
+  //                 fast profile: longest motion in a rig [sigmas] < min_baseline_sigmas
   // "covariance"    good samples < covariance.num_samples
   // "ambiguous"     significance of the best solution against a distinct one [sigmas]
   //                 < selection.min_significance; the fast profile's
