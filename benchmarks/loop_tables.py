@@ -136,8 +136,8 @@ def fine_print(report: Report) -> str:
             "- redkitchen: wrong is off by more than 0.5 m or 10°. Its ground truth is good to 4 cm"
             " and 1.2° a pair, which NEES adds to the covariance; without that the mean of `fast`"
             f" is {number(fast['nees_mean_without_truth'])}, and of its inverse Hessian alone"
-            f" {number(fast['nees_analytic_mean_without_truth'])}. One kitchen, a few metres: it says"
-            " little about other places.\n"
+            f" {number(fast['nees_analytic_mean_without_truth'])}. One kitchen, a few metres: it"
+            " says little about other places.\n"
         )
     if "fr1_rpy" in report:
         fast = report["fr1_rpy"]["fast"]
