@@ -448,7 +448,7 @@ def test_who_is_removed_is_thrown_out_and_others_only_reconnect(
 
 
 def test_who_expires_is_thrown_out_and_told_why(server: ZenohBus, roster: Roster) -> None:
-    let_in(roster, Request("brief", lifetime=timedelta(seconds=6)))
+    let_in(roster, Request("brief", lifetime=timedelta(seconds=12)))
     server.answer(keyexprs.AGENT_KEYFRAMES, lambda query: query.reply(b""))
     changes: queue.Queue[bool] = queue.Queue()
     with closing(ZenohBus.open(bus_of(roster, "brief"))) as link:
