@@ -89,12 +89,18 @@ def optimise(component: Component, config: OptimizerConfig) -> MapEstimate:
         graph = build_graph(component, config)
         if not component.loops:
             return _estimate(component, graph, graph.T_odom_body, 0, True)
-        T_map_odom = align_segments(component, noise_of(config))
-        by_segment = np.array([T_map_odom[segment.id] for segment in component.segments])
-        T_map_body = by_segment[graph.segment] @ graph.T_odom_body
+        T_map_body = start_of(component, graph, config)
     result = minimised(graph, T_map_body, pose_graph_options(config))
     T_map_body = np.asarray(result.T_map_body)
     return _estimate(component, graph, T_map_body, result.num_iterations, result.converged)
+
+
+def start_of(component: Component, graph: PoseGraph, config: OptimizerConfig) -> Array:
+    """(N, 4, 4) poses with every segment placed rigidly by its loops. Source: decision 0003."""
+    T_map_odom = align_segments(component, noise_of(config))
+    by_segment = np.array([T_map_odom[segment.id] for segment in component.segments])
+    T_map_body: Array = by_segment[graph.segment] @ graph.T_odom_body
+    return T_map_body
 
 
 def find_fault(
