@@ -37,7 +37,7 @@ RUN CMAKE_BUILD_PARALLEL_LEVEL=$JOBS /opt/build/bin/pip wheel --quiet --no-cache
 # As in a checkout: `covinz` is imported from where `services` lies next to it.
 WORKDIR /app
 COPY LICENSE NOTICE README.md pyproject.toml ./
-COPY vocabulary/orb_10k.bin vocabulary/
+COPY vocabulary/orb_10k.bin vocabulary/sift_10k.bin vocabulary/
 COPY covinz covinz
 COPY services services
 RUN python -m pip --python /opt/covinz/bin/python install --quiet --no-cache-dir --no-deps -e . \

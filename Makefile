@@ -1,4 +1,4 @@
-# Targets: setup check test lint bench results demo schemas vocabulary. All but `setup` run it first.
+# Targets: setup check test lint bench results results-loops demo schemas vocabulary. All but `setup` run it first.
 
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +13,7 @@ PYTHON_DIRS := covinz services agents/covinz_agents benchmarks scripts tests voc
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: setup check test lint bench results demo schemas vocabulary core-tests core-sanitize clean
+.PHONY: setup check test lint bench results results-loops demo schemas vocabulary core-tests core-sanitize clean
 
 setup: $(STAMPS)/apt $(STAMPS)/venv $(STAMPS)/core $(STAMPS)/packages
 
@@ -89,6 +89,18 @@ bench: setup
 # The larger scenarios and their page: half an hour where no image is in the cache.
 results: setup
 	$(BIN)/python -m benchmarks.large_scenarios --out benchmarks/results/large_scenarios.json --pictures docs/pictures >/dev/null
+	$(BIN)/python -m benchmarks.results_page
+
+# The loop solver: its benchmarks, their page and the README's table. Some six minutes.
+LOOP_BENCHMARKS := loop_synthetic loop_accuracy runtime_traffic
+
+results-loops: setup
+	@mkdir -p benchmarks/results
+	@set -e; for name in $(LOOP_BENCHMARKS); do \
+	  echo "benchmarks/$$name.py"; \
+	  $(BIN)/python -m benchmarks.$$name --json benchmarks/results/$$name.json >/dev/null; \
+	done
+	$(BIN)/python -m benchmarks.readme
 	$(BIN)/python -m benchmarks.results_page
 
 demo: setup

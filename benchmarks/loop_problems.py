@@ -9,13 +9,14 @@ error, shared by all pairs that it takes part in. Half of the wrong matches are 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import covinz_core as core
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.loop_conditions import Condition
 from covinz import frames
 
 Array = NDArray[np.float64]
@@ -29,62 +30,16 @@ DESCRIPTOR_BYTES = 32
 T_BODY_CAM = frames.transform(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.05, 0.03, -0.02]
 )
-_MATCHES = (900, 1600)
 # A keyframe finds a landmark in its view again with this probability.
 _REPEATABILITY = 0.7
 # Flipped bits of one observation; two of the same landmark differ by 10 to 54 of 256 bits.
 _BIT_FLIPS = (0.02, 0.12)
-# Odometry between neighbouring keyframes, per axis: 1 cm and 0.2 degrees in all.
-_ODOMETRY_SIGMA_M = 0.01 / np.sqrt(3)
-_ODOMETRY_SIGMA_RAD = np.deg2rad(0.2) / np.sqrt(3)
 _PROPOSALS = 20_000
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """What the problems of one kind have in common; the default is an ordinary loop.
-
-    Attributes:
-        noise_px: Standard deviation of a keypoint, per axis.
-        outlier_share: Wrong matches among all matches.
-        odometry_sigma_m: Error of the odometry between neighbouring keyframes, per axis.
-        odometry_sigma_rad: Likewise.
-        step_m: Range of the distances between neighbouring keyframes.
-        step_turn_rad: Root mean square of the turn between them.
-        loop_m: Range of the distances between the reference keyframes.
-        loop_yaw_rad: Largest yaw between them.
-        depth_m: Range of the depths of landmarks.
-        forward: Rigs and loop lie close to one line, the optical axis.
-    """
-
-    noise_px: float = 1.0
-    outlier_share: float = 0.3
-    odometry_sigma_m: float = _ODOMETRY_SIGMA_M
-    odometry_sigma_rad: float = _ODOMETRY_SIGMA_RAD
-    step_m: tuple[float, float] = (0.1, 0.6)
-    step_turn_rad: float = np.deg2rad(3)
-    loop_m: tuple[float, float] = (0.1, 1.5)
-    loop_yaw_rad: float = np.deg2rad(25)
-    depth_m: tuple[float, float] = (2.0, 15.0)
-    forward: bool = False
-
-
-_DEFAULT = Condition()
-CONDITIONS: Mapping[str, Condition] = {
-    "default": _DEFAULT,
-    "half_noise": replace(_DEFAULT, noise_px=0.5),
-    "outliers_50": replace(_DEFAULT, outlier_share=0.5),
-    "outliers_60": replace(_DEFAULT, outlier_share=0.6),
-    "odometry_noise": replace(
-        _DEFAULT,
-        odometry_sigma_m=np.sqrt(3) * _ODOMETRY_SIGMA_M,
-        odometry_sigma_rad=np.sqrt(3) * _ODOMETRY_SIGMA_RAD,
-    ),
-    "short_baseline": replace(_DEFAULT, step_m=(0.05, 0.15), depth_m=(5.0, 15.0)),
-    "forward": replace(_DEFAULT, forward=True, loop_yaw_rad=np.deg2rad(3)),
-    # The rigs turn on the spot, so nothing tells how long the loop is.
-    "pure_rotation": replace(_DEFAULT, step_m=(0.0, 0.0), step_turn_rad=np.deg2rad(8)),
-}
+# Size of a spot of landmarks, and waves that make up a shared error.
+_SPOT_PX = 40.0
+_WAVES = 64
+# How much worse than told a motion of the odometry's tail is.
+_TAIL = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +68,8 @@ class LoopProblem:
         T_cand_query: (4, 4) true pose of the query body in the candidate's.
         T_query_cam: (2, 4, 4) true camera poses in the query body frame.
         T_cand_cam: (3, 4, 4) likewise in the candidate's.
+        T_query_cam_odometry: (2, 4, 4) the same as odometry has them: what the solvers are told.
+        T_cand_cam_odometry: (3, 4, 4) likewise.
         query_views: What the query cameras see.
         cand_views: What the candidate cameras see.
     """
@@ -122,6 +79,8 @@ class LoopProblem:
     T_cand_query: Array
     T_query_cam: Array
     T_cand_cam: Array
+    T_query_cam_odometry: Array
+    T_cand_cam_odometry: Array
     query_views: Sequence[View]
     cand_views: Sequence[View]
 
@@ -150,7 +109,15 @@ def generate(condition: Condition, seed: int) -> LoopProblem:
         for T, view in zip(odometry, views, strict=True)
     ]
     return LoopProblem(
-        cameras[:2], cameras[2:], T_cand_query, T_query_cam, T_cand_cam, views[:2], views[2:]
+        cameras[:2],
+        cameras[2:],
+        T_cand_query,
+        T_query_cam,
+        T_cand_cam,
+        odometry[:2],
+        odometry[2:],
+        views[:2],
+        views[2:],
     )
 
 
@@ -192,9 +159,10 @@ def _ahead(rng: np.random.Generator) -> Array:
 
 
 def _noise(condition: Condition, rng: np.random.Generator) -> Array:
+    times = _TAIL if condition.tail_share > 0 and rng.random() < condition.tail_share else 1.0
     return frames.transform(
-        frames.so3_exp(rng.normal(scale=condition.odometry_sigma_rad, size=3)),
-        rng.normal(scale=condition.odometry_sigma_m, size=3),
+        frames.so3_exp(rng.normal(scale=times * condition.odometry_sigma_rad, size=3)),
+        rng.normal(scale=times * condition.odometry_sigma_m, size=3),
     )
 
 
@@ -212,12 +180,11 @@ class _Images:
 
     def fill(self) -> None:
         """Landmarks and look-alikes until the matches are as many as wanted."""
-        matches = self._rng.uniform(*_MATCHES)
+        matches = self._rng.uniform(*self._condition.matches)
         wrong = self._condition.outlier_share * matches
         landmarks = self._take(self._views(self._points(2)), matches - wrong)
         self._num_landmarks = len(landmarks)
-        alike = self._views(self._points(0))
-        alike[:, 2:] = self._views(self._points(2))[:, 2:]
+        alike = self._alike()
         self._pixels = np.concatenate(
             [landmarks, self._take(alike, wrong / 2), self._single(round(wrong / 2))]
         )
@@ -232,6 +199,8 @@ class _Images:
             [self._pixels[seen, camera], self._rng.uniform((0, 0), IMAGE_SIZE_PX, (rest, 2))]
         )
         pixels[: len(seen)] += self._rng.normal(scale=self._condition.noise_px, size=(len(seen), 2))
+        if self._condition.shared_px > 0:
+            pixels += self._shared_error(pixels)
         descriptors = np.concatenate(
             [self._flip(self._descriptors[seen]), self._random_descriptors(rest)]
         )
@@ -240,14 +209,51 @@ class _Images:
         order = self._rng.permutation(FEATURES)
         return View(_bearings(pixels[order]), descriptors[order], landmarks[order])
 
+    def _alike(self) -> Array:
+        """Views (N, 5, 2) of things that each rig sees consistently, but not the same."""
+        pitch_m = self._condition.pitch_m
+        points = self._points(0)
+        alike = self._views(points)
+        if pitch_m is None:
+            alike[:, 2:] = self._views(self._points(2))[:, 2:]
+        else:
+            along = self._T_world_cam[2][:3, 0]
+            alike[:, 2:] = self._views(points + pitch_m * along)[:, 2:]
+        return alike
+
     def _points(self, camera: int) -> Array:
         """Points (N, 3) in the world, spread over the view of one camera."""
+        condition = self._condition
         pixels = self._rng.uniform((0, 0), IMAGE_SIZE_PX, (_PROPOSALS, 2))
+        if condition.clusters:
+            spots = self._rng.uniform((0, 0), IMAGE_SIZE_PX, (condition.clusters, 2))
+            pixels = self._rng.permutation(spots.repeat(_PROPOSALS // condition.clusters + 1, 0))
+            pixels = pixels[:_PROPOSALS] + self._rng.normal(scale=_SPOT_PX, size=(_PROPOSALS, 2))
         rays = np.column_stack([(pixels - _centre()) / FOCAL_PX, np.ones(_PROPOSALS)])
-        points_cam = rays * self._rng.uniform(*self._condition.depth_m, (_PROPOSALS, 1))
+        depths = self._rng.uniform(*condition.depth_m, _PROPOSALS)
+        if condition.wall_relief_m is not None:
+            depths = self._wall(rays) + self._rng.normal(
+                scale=condition.wall_relief_m, size=_PROPOSALS
+            )
+        points_cam = rays * depths[:, None]
         T = self._T_world_cam[camera]
         points_world: Array = points_cam @ T[:3, :3].T + T[:3, 3]
         return points_world
+
+    def _wall(self, rays: Array) -> Array:
+        """Depths (N,) along rays of a wall that is turned by up to 30 degrees."""
+        distance_m = self._rng.uniform(*self._condition.depth_m)
+        slope = self._rng.uniform(-0.5, 0.5, 2)
+        depths: Array = distance_m / np.maximum(1 + rays[:, :2] @ slope, 0.2)
+        return depths
+
+    def _shared_error(self, pixels: Array) -> Array:
+        """Errors (N, 2) of a smooth random field, by random Fourier features."""
+        waves = self._rng.normal(scale=1 / self._condition.shared_length_px, size=(_WAVES, 2))
+        phases = self._rng.uniform(0, 2 * np.pi, (2, _WAVES))
+        field = np.cos(pixels @ waves.T + phases[:, None]).sum(-1).T
+        error: Array = self._condition.shared_px * np.sqrt(2 / _WAVES) * field
+        return error
 
     def _views(self, points_world: Array) -> Array:
         """Pixels (N, 5, 2) without noise, NaN where a camera does not find the point."""

@@ -1,4 +1,4 @@
-"""Writes the results table of the README from demo.json and scenarios.json of benchmarks/results.
+"""Writes the tables of the README from the reports in benchmarks/results.
 
 python -m benchmarks.readme
 """
@@ -9,11 +9,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+from benchmarks.loop_tables import brief
+
 _REPOSITORY = Path(__file__).resolve().parents[1]
 _RESULTS = _REPOSITORY / "benchmarks" / "results"
 _README = _REPOSITORY / "README.md"
 _BEGIN = "<!-- results: written by benchmarks/readme.py -->"
 _END = "<!-- end of results -->"
+_BEGIN_LOOPS = "<!-- loops: written by benchmarks/readme.py -->"
+_END_LOOPS = "<!-- end of loops -->"
 _WHAT = {
     "hall": "generated hall, rendered images, three robots",
     "redkitchen": "7-Scenes redkitchen: real images, real RGB-D odometry, three robots",
@@ -48,17 +52,33 @@ def row(name: str, report: dict[str, Any]) -> str:
     return "| " + " | ".join(cells) + " |\n"
 
 
+def between(text: str, begin: str, end: str, table: str) -> str:
+    """The text with a table in place of what stands between two markers."""
+    head, rest = text.split(begin)
+    _, tail = rest.split(end)
+    return f"{head}{begin}\n{table}{end}{tail}"
+
+
+def runs() -> str:
+    """The table of the runs: the demo as `make demo` plays it, seed 0, and the real images."""
+    demo = report("demo")["reports"]
+    reports = {"hall": demo["0"], **report("scenarios")["reports"]}
+    return _HEADER + "".join(row(name, made) for name, made in reports.items())
+
+
+def report(name: str) -> dict[str, Any]:
+    """The report of a benchmark."""
+    made: dict[str, Any] = json.loads((_RESULTS / f"{name}.json").read_text())
+    return made
+
+
 def main() -> None:
-    """Replace what stands between the two markers."""
-    demo = json.loads((_RESULTS / "demo.json").read_text())["reports"]
-    recorded = json.loads((_RESULTS / "scenarios.json").read_text())["reports"]
-    # The demo as `make demo` runs it: seed 0.
-    reports = {"hall": demo["0"], **recorded}
-    table = _HEADER + "".join(row(name, report) for name, report in reports.items())
-    text = _README.read_text()
-    head, rest = text.split(_BEGIN)
-    _, tail = rest.split(_END)
-    _README.write_text(f"{head}{_BEGIN}\n{table}{_END}{tail}")
+    """Replace what stands between the markers; a table whose benchmark was not run stays."""
+    text = between(_README.read_text(), _BEGIN, _END, runs())
+    if all((_RESULTS / f"{name}.json").exists() for name in ("loop_synthetic", "loop_accuracy")):
+        table = brief(report("loop_synthetic"), report("loop_accuracy"))
+        text = between(text, _BEGIN_LOOPS, _END_LOOPS, table)
+    _README.write_text(text)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,11 @@ python -m benchmarks.results_page
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from benchmarks.loop_tables import accuracy_section, synthetic_section, table, traffic_section
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGE = REPOSITORY / "docs" / "results.md"
@@ -36,11 +38,20 @@ _SUMMARY = (
     "wrong (bending)", "loop error, median", "joint ATE before → after", "solver, median / p95",
     "lost",
 )  # fmt: skip
+# Sections of the benchmarks of loops, in this order.
+_LOOPS = {
+    "loop_synthetic": synthetic_section,
+    "loop_accuracy": accuracy_section,
+    "runtime_traffic": traffic_section,
+}
 _AGENT = ("robot", "keyframes", "path", "ATE before → after", "kB/s")
 
 
 def page(
-    reports: Mapping[str, Mapping[str, Any]], machine: str, demo: Mapping[str, Any] | None = None
+    reports: Mapping[str, Mapping[str, Any]],
+    machine: str,
+    demo: Mapping[str, Any] | None = None,
+    loops: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> str:
     """The text of docs/results.md.
 
@@ -48,11 +59,13 @@ def page(
         reports: `report.json` of every scenario by its name.
         machine: Architecture they ran on.
         demo: What `benchmarks/demo.py` measured, if it was.
+        loops: What the benchmarks of loops measured, by their names, those that were run.
     """
     text = _HEAD.format(machine=machine)
     text += table(_SUMMARY, [summary(linked(name), report) for name, report in reports.items()])
     if demo is not None:
         text += demo_section(demo)
+    text += "".join(_LOOPS[name](report) for name, report in (loops or {}).items())
     return text + "".join(section(name, report) for name, report in reports.items())
 
 
@@ -156,18 +169,14 @@ def shown(count: int | None) -> str:
     return "-" if count is None else str(count)
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
-
-
 def read() -> str:
     """The page that the results in the repository give."""
     made = json.loads((_RESULTS / "large_scenarios.json").read_text())
     demo = _RESULTS / "demo.json"
     measured = json.loads(demo.read_text()) if demo.exists() else None
-    return page(made["reports"], made["machine"], measured)
+    files = {name: _RESULTS / f"{name}.json" for name in _LOOPS}
+    loops = {name: json.loads(file.read_text()) for name, file in files.items() if file.exists()}
+    return page(made["reports"], made["machine"], measured, loops)
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from covinz.bus import Bus, ZenohBus
 from covinz.config import Config
 from covinz.corrections import CorrectionFeed
 from covinz.frames import is_rigid
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.spool import Spool, SpoolRow
 from covinz.types import (
     AGENT_PATTERN,
@@ -51,6 +52,7 @@ class Agent:
         on_correction: Called with the latest correction whenever there is a new one, always from
             one thread.
         on_rejected: Called when the server refused a keyframe for good, from an upload thread.
+        machine: Clock, chance and threads.
 
     Raises:
         ValueError: If a name is malformed.
@@ -66,12 +68,14 @@ class Agent:
         session: str | None = None,
         on_correction: Callable[[Correction], None] | None = None,
         on_rejected: Callable[[KeyframeId, Rejected], None] | None = None,
+        machine: Machine = THIS_MACHINE,
     ) -> None:
         if not AGENT_PATTERN.fullmatch(agent_id):
             raise ValueError(f"not an agent id: {agent_id!r}")
         self._agent = agent_id
         self._config = config or Config()
-        self._session = _session(session)
+        self._machine = machine
+        self._session = _session(session, machine)
         self._on_rejected = on_rejected
         self._sending = threading.Lock()  # session and sequence number go together
         self._closed = False
@@ -82,9 +86,9 @@ class Agent:
             if self._own_bus:
                 undo.callback(self._bus.close)
             self._uploader = Uploader(
-                self._bus, self._spool, agent_id, self._config.agent, self._rejected
+                self._bus, self._spool, agent_id, self._config.agent, self._rejected, machine
             )
-            self._feed = CorrectionFeed(self._bus, agent_id, self._session, on_correction)
+            self._feed = CorrectionFeed(self._bus, agent_id, self._session, on_correction, machine)
             self._declared = [
                 self._bus.declare_alive(keyexprs.agent_alive(agent_id)),
                 self._bus.watch_answered(keyexprs.agent_keyframe(agent_id), self._on_ingest),
@@ -140,7 +144,7 @@ class Agent:
     def new_session(self) -> str:
         """The odometry was reset: later keyframes begin a new segment; returns its session."""
         with self._sending:
-            self._session = new_ulid()
+            self._session = new_ulid(self._machine)
             self._feed.new_session(self._session)
             return self._session
 
@@ -199,9 +203,9 @@ class Agent:
             logger.exception("the callback for rejections failed")
 
 
-def _session(session: str | None) -> str:
+def _session(session: str | None, machine: Machine) -> str:
     if session is None:
-        return new_ulid()
+        return new_ulid(machine)
     if not ULID_PATTERN.fullmatch(session):
         raise ValueError(f"not a session (ULID): {session!r}")
     return session
@@ -224,4 +228,5 @@ def _keyframe(name: KeyframeId, content: KeyframeContent) -> Keyframe:
         covariance=content.covariance,
         gravity_body=content.gravity_body,
         thumbnail_jpeg=content.thumbnail_jpeg,
+        more_features=content.more_features,
     )

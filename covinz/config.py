@@ -17,12 +17,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 PositiveInt = Annotated[int, Field(gt=0)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+# Kinds of local features: `covinz.types.FeatureType`.
+FeatureKind = Literal["orb", "sift"]
+# Keyframes of one rig: time grows with the product of both sizes.
+MAX_RIG_SIZE = 5
 M = TypeVar("M", bound=BaseModel)
 ENVIRONMENT_PREFIX = "COVINZ__"
 
@@ -53,7 +57,7 @@ class IngestConfig(Section):
 
     # An upload larger than this is rejected; 1,000 ORB are 36 kB. [bytes]
     max_upload_bytes: PositiveInt = 1024 * 1024
-    # A keyframe with more features is rejected.
+    # A keyframe with more features, of all kinds together, is rejected.
     max_features: PositiveInt = 8192
     # Keyframes committed and acked together (group commit).
     max_batch: PositiveInt = 64
@@ -70,10 +74,51 @@ class IngestConfig(Section):
     retry_after_s: Positive = 0.5
 
 
+class RigConfig(Section):
+    """Which keyframes form a rig with the query and with the candidate; source: decision 0021."""
+
+    # The nearest in order of the log, or by geometry; None leaves it to the solver's profile:
+    # `paper` takes the nearest, `fast` chooses. [paper III-B2]
+    neighbours: Literal["index", "geometry"] | None = None
+    # Keyframes of the query's rig, the query among them. [paper III-B2: 2]
+    query_size: Annotated[int, Field(ge=2, le=MAX_RIG_SIZE)] = 2
+    # Keyframes of the candidate's rig, the candidate among them. [paper III-B2: 3]
+    cand_size: Annotated[int, Field(ge=2, le=MAX_RIG_SIZE)] = 3
+    # Distance of the scene where it matters what two cameras share: the near end of what indoor
+    # robots see, since of a distant scene they share more. [m; generated problems: 2 to 15 m]
+    depth_m: Positive = 2.0
+    # Change of a point's viewing direction [rad], or of the logarithm of its distance, that costs
+    # half of the matches. [20 degrees, and two levels of ORB's pyramid; Mikolajczyk and Schmid, "A
+    # performance evaluation of local descriptors", 2005]
+    half_view_change: Positive = 0.35
+    # Cameras in whose view less than this part of the reference's view is form no rig with it if
+    # there are better ones.
+    min_overlap: Annotated[float, Field(ge=0, le=1)] = 0.5
+    # A pair waits for up to two more keyframes of a session if both rigs together would tell the
+    # scale with less information than this: 4 is a standard deviation of half the scale.
+    min_information: NonNegative = 4.0
+    # Keyframes further along the path are not looked at ... [m]
+    max_path_m: NonNegative = 2.0
+    # ... nor those further away in keyframes: bounds the time of a choice.
+    max_steps: Annotated[int, Field(ge=MAX_RIG_SIZE - 1)] = 32
+
+
+class SiftRecognitionConfig(Section):
+    """What SIFT's index has of its own; source: decision 0022."""
+
+    # Vocabulary file; relative to the checkout.
+    vocabulary: Path = Path("vocabulary/sift_10k.bin")
+    # Two descriptors of one word vote for each other if their codes differ in so many of 128 bits.
+    # [measured: decision 0022]
+    max_hamming: Annotated[int, Field(gt=0, le=128)] = 28
+    # A candidate needs this score; None: the same as of ORB.
+    min_score: NonNegative | None = None
+
+
 class PlaceRecognitionConfig(Section):
     """Candidates for loops. Guards depend on the log alone, never on outcomes."""
 
-    # Vocabulary file; relative to the checkout.
+    # Vocabulary file of ORB; relative to the checkout.
     vocabulary: Path = Path("vocabulary/orb_10k.bin")
     # Rank by verified votes, or by the paper's DBoW2 tf-idf score. [measured: decision 0004]
     score: Literal["votes", "tf_idf"] = "votes"
@@ -85,8 +130,8 @@ class PlaceRecognitionConfig(Section):
     min_score: NonNegative = 10.0
     # Candidates need this share of the query's best score. [public code: 0.75 retain rule]
     min_score_ratio: Annotated[float, Field(ge=0, le=1)] = 0.25
-    # A keyframe with fewer features takes no part: it could not pass the gate of the pairs.
-    # [paper III-B2: 30 inliers]
+    # A keyframe with fewer features of every kind takes no part: it could not pass the gate of the
+    # pairs. [paper III-B2: 30 inliers]
     min_features: PositiveInt = 30
     # The first keyframes of a session are neither queries ... [public code: start_after_kf 7]
     start_after_keyframes: Count = 0
@@ -117,6 +162,10 @@ class PlaceRecognitionConfig(Section):
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]
     long_poll_s: Positive = 5.0
+    # Another vocabulary, and thresholds of its own, for SIFT.
+    sift: SiftRecognitionConfig = SiftRecognitionConfig()
+    # The keyframes around query and candidate that are matched with them.
+    rigs: RigConfig = RigConfig()
 
 
 class MatchingConfig(Section):
@@ -126,6 +175,8 @@ class MatchingConfig(Section):
     max_ratio: Annotated[float, Field(gt=0, le=1)] = 0.8
     # ORB: largest Hamming distance. [public code: img_match_thres 40 is stricter]
     max_hamming: PositiveInt = 64
+    # SIFT: largest Euclidean distance of bytes, which is at most 724. [public code: 500]
+    max_sift_distance: Positive = 500.0
     # Keep a match only if it is the best in both directions. [docs/paper.md]
     mutual: bool = True
 
@@ -156,6 +207,9 @@ class FastLoopConfig(Section):
     confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999
     # Samples of the joint estimation.
     max_iterations: PositiveInt = 1000
+    # Let the direction of gravity propose poses where both robots send it: more loops where most
+    # matches are wrong. [decision 0019]
+    use_verticals: bool = True
     # Hypotheses that are refined. [real images research: five]
     max_refined: PositiveInt = 5
     # The best solution wins against a distinct one with so many standard deviations, or the loop
@@ -177,6 +231,9 @@ class LoopSolverConfig(Section):
     # Joint estimation and refinement, or COVINS-G as written. [decisions 0019 and 0020]
     profile: Literal["fast", "paper"] = "fast"
     fast: FastLoopConfig = FastLoopConfig()
+    # Kinds of features in use: a job takes the first one that all its keyframes have. [decision
+    # 0022]
+    kinds: Annotated[tuple[FeatureKind, ...], Field(min_length=1)] = ("sift", "orb")
     matching: MatchingConfig = MatchingConfig()
     # Matches in each of the six pairs: fewer cannot hold the inliers asked for next.
     min_pair_matches: PositiveInt = 30
@@ -274,19 +331,46 @@ class KeyframeSelectionConfig(Section):
     rotation_rad: Positive = 0.15
 
 
-class FeatureConfig(Section):
-    """ORB on a grid, so that features cover the image."""
+class SiftConfig(Section):
+    """SIFT on the grid of `FeatureConfig`."""
 
-    # [paper: 1,000 ORB]
+    # As many as ORB.
+    num_features: PositiveInt = 1000
+    # Threshold of contrast, and the one in cells that stay empty. [OpenCV: 0.04; a third of it, as
+    # for ORB]
+    contrast_threshold: Positive = 0.04
+    min_contrast_threshold: Positive = 0.013
+
+
+class FeatureConfig(Section):
+    """Features on a grid, so that they cover the image. `sift` or `[orb, sift]` will do for it."""
+
+    # What is sent, one block for each kind.
+    kinds: Annotated[tuple[FeatureKind, ...], Field(min_length=1)] = ("orb",)
+    # ORB. [paper: 1,000 ORB]
     num_features: PositiveInt = 1000
     # Grid cells along the image's width and height. [rendering study: 8 x 6]
     grid: tuple[PositiveInt, PositiveInt] = (8, 6)
-    # Pyramid. [public code: 1.2, 8 levels]
+    # ORB's pyramid. [public code: 1.2, 8 levels]
     scale_factor: Annotated[float, Field(gt=1)] = 1.2
     num_levels: PositiveInt = 8
     # FAST threshold, and the one tried in cells that stay empty. [public code: 20, 7]
     fast_threshold: PositiveInt = 20
     min_fast_threshold: PositiveInt = 7
+    sift: SiftConfig = SiftConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_kinds(cls, values: Any) -> Any:
+        if isinstance(values, str):
+            return {"kinds": [values]}
+        return {"kinds": values} if isinstance(values, list | tuple) else values
+
+    @model_validator(mode="after")
+    def _check(self) -> FeatureConfig:
+        if len(set(self.kinds)) != len(self.kinds):
+            raise ValueError("a kind of feature is named twice")
+        return self
 
 
 class Config(Section):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus, BusClosed
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import Correction
 
 logger = logging.getLogger(__name__)
@@ -33,6 +34,7 @@ class CorrectionFeed:
         session: Its current session.
         on_correction: Called with the latest correction whenever there is a new one, from one
             thread; what comes while it runs replaces what waits.
+        machine: For the thread.
     """
 
     def __init__(
@@ -41,11 +43,12 @@ class CorrectionFeed:
         agent: str,
         session: str,
         on_correction: Callable[[Correction], None] | None,
+        machine: Machine = THIS_MACHINE,
     ) -> None:
         self._bus = bus
         self._agent = agent
         self._on_correction = on_correction
-        self._changed = threading.Condition()  # guards what follows
+        self._changed = machine.condition()  # guards what follows
         self._session = session
         self._latest: Correction | None = None
         self._is_news = False
@@ -54,7 +57,7 @@ class CorrectionFeed:
         self._subscription = bus.subscribe(
             keyexprs.agent_correction(agent), lambda _, payload: self._receive(payload)
         )
-        self._thread = threading.Thread(target=self._run, name="corrections", daemon=True)
+        self._thread = machine.thread(self._run, "corrections", daemon=True)
         self._thread.start()
 
     @property

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus, BusClosed
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import LogHead, LogPage, LogRange, LogView
 
 logger = logging.getLogger(__name__)
@@ -43,6 +44,7 @@ class LogFollower:
         deliver: Called with a LogReset or a LogPage that holds entries; consecutive pages join
             without gap or overlap. It may block: nothing is asked for meanwhile.
         recheck_s: How often to look without being woken.
+        machine: For the thread.
 
     Source: docs/architecture.md, "log with cursors".
     """
@@ -53,6 +55,7 @@ class LogFollower:
         view: LogView,
         deliver: Callable[[LogReset | LogPage], object],
         recheck_s: float = RECHECK_S,
+        machine: Machine = THIS_MACHINE,
     ) -> None:
         self._bus = bus
         self._view = view
@@ -60,9 +63,9 @@ class LogFollower:
         self._recheck_s = recheck_s
         self._cursor = 0
         self._log_id = ""
-        self._news = threading.Event()
+        self._news = machine.event()
         self._closing = False
-        self._thread = threading.Thread(target=self._run, name="log-follower", daemon=True)
+        self._thread = machine.thread(self._run, "log-follower", daemon=True)
         self._declared = ExitStack()
 
     def start(self, cursor: int, log_id: str) -> None:

@@ -18,6 +18,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from covinz import config as configuration
@@ -25,6 +26,7 @@ from covinz import keyexprs
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError
 from covinz.durable import DurableFileError
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.telemetry import set_up_logging
 
 logger = logging.getLogger(__name__)
@@ -52,16 +54,20 @@ class Inbox:
     Args:
         capacity: Events that may wait.
         on_first_take: Called once, by the owner, before its first look into the inbox.
+        machine: To wait.
     """
 
     def __init__(
-        self, capacity: int = INBOX_CAPACITY, on_first_take: Callable[[], object] | None = None
+        self,
+        capacity: int = INBOX_CAPACITY,
+        on_first_take: Callable[[], object] | None = None,
+        machine: Machine = THIS_MACHINE,
     ) -> None:
         if capacity < 1:
             raise ValueError(f"an inbox of {capacity} events can hold nothing")
         self._capacity = capacity
         self._on_first_take = on_first_take
-        self._changed = threading.Condition()
+        self._changed = machine.condition()
         self._events: deque[object] = deque()
         self._stopping = False
 
@@ -145,6 +151,7 @@ class Context:
         data_dir: Folder for durable files; it exists.
         bus: The bus; closed after `run` has returned.
         inbox: Events for the owner thread; StatusRequest comes here by itself.
+        machine: Clocks, chance and threads.
     """
 
     name: str
@@ -153,6 +160,7 @@ class Context:
     data_dir: Path
     bus: Bus
     inbox: Inbox
+    machine: Machine = THIS_MACHINE
 
 
 def serve(name: str, run: Callable[[Context], None]) -> None:
@@ -193,6 +201,7 @@ def serve_on(
     data_dir: Path,
     run: Callable[[Context], None],
     arm: Callable[[Inbox, Bus], object],
+    machine: Machine = THIS_MACHINE,
 ) -> int:
     """Run a service on a given bus; returns the exit code of its process.
 
@@ -204,16 +213,18 @@ def serve_on(
         data_dir: Folder for durable files.
         run: See `serve`.
         arm: Called with inbox and bus before `run`; arranges for ``inbox.stop()``.
+        machine: What the process runs on.
     """
     with contextlib.ExitStack() as stack:
-        inbox = Inbox(on_first_take=lambda: _announce(stack, bus, name, instance))
+        announce = partial(_announce, stack, bus, name, instance)
+        inbox = Inbox(on_first_take=announce, machine=machine)
         stack.callback(_drop_status_requests, inbox)
         status_key = keyexprs.service_status(name, instance)
         status = bus.answer(status_key, lambda query: _ask_status(inbox, query))
         stack.callback(status.close)
         arm(inbox, bus)
         try:
-            run(Context(name, instance, config, data_dir, bus, inbox))
+            run(Context(name, instance, config, data_dir, bus, inbox, machine))
         except Stopped:
             pass
         except BusClosed:

@@ -5,8 +5,7 @@ Source: the ULID specification, https://github.com/ulid/spec (Crockford's base 3
 
 from __future__ import annotations
 
-import secrets
-import time
+from covinz.machine import THIS_MACHINE, Machine
 
 _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
@@ -23,6 +22,6 @@ def ulid(time_ms: int, entropy: bytes) -> str:
     return "".join(_ALPHABET[value >> shift & 31] for shift in range(125, -1, -5))
 
 
-def new_ulid() -> str:
+def new_ulid(machine: Machine = THIS_MACHINE) -> str:
     """A ULID of now."""
-    return ulid(time.time_ns() // 1_000_000, secrets.token_bytes(10))
+    return ulid(machine.now_ns() // 1_000_000, machine.random_bytes(10))

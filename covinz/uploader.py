@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 import random
-import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus, BusClosed, MessageTooLarge
 from covinz.config import AgentConfig
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.spool import Spool, SpoolError, SpoolRow
 from covinz.types import Duplicate, NeedCamera, Rejected, RetryAfter, Stored, UploadReply
 
@@ -60,6 +59,7 @@ class Uploader:
         agent: Whose spool it is.
         config: Window, time-outs, pauses.
         on_rejected: Called from an upload thread when the server refused a row for good.
+        machine: Clock, threads and jitter.
     """
 
     def __init__(
@@ -69,25 +69,26 @@ class Uploader:
         agent: str,
         config: AgentConfig,
         on_rejected: Callable[[SpoolRow, Rejected], None],
+        machine: Machine = THIS_MACHINE,
     ) -> None:
         self._bus = bus
         self._spool = spool
         self._agent = agent
         self._config = config
         self._on_rejected = on_rejected
-        self._changed = threading.Condition()  # guards what follows
+        self._clock_s = machine.monotonic_s
+        self._changed = machine.condition()  # guards what follows
         self._stopping = False
         self._under_way = 0
         self._failing = False
         self._resume_at = 0.0  # no upload before this time of the monotonic clock
         self._may_hurry = True  # whether news may end the pause early
-        self._backoff = Backoff(config, random.Random())
+        self._backoff = Backoff(config, random.Random(machine.random_bytes(8)))
         self._timeouts: Counter[int] = Counter()
-        self._registering = threading.Lock()  # one thread registers a camera, the others wait
+        self._registering = machine.lock()  # one thread registers a camera, the others wait
         self._registered: set[str] = set()
         self._threads = [
-            threading.Thread(target=self._run, name=f"upload-{i}", daemon=True)
-            for i in range(config.window)
+            machine.thread(self._run, f"upload-{i}", daemon=True) for i in range(config.window)
         ]
 
     def start(self) -> None:
@@ -113,13 +114,13 @@ class Uploader:
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
-        deadline = time.monotonic() + timeout_s
+        deadline = self._clock_s() + timeout_s
         for thread in self._threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
+            thread.join(max(0.0, deadline - self._clock_s()))
 
     def _run(self) -> None:
         while (row := self._next()) is not None:
-            started = time.monotonic()
+            started = self._clock_s()
             try:
                 answer: UploadReply | None = self._attempt(row)
             except _NoAnswer as error:
@@ -128,7 +129,7 @@ class Uploader:
             except SpoolError as error:
                 self._complain("cannot read the calibration of an upload: %s", error)
                 answer = None
-            timed_out = time.monotonic() - started >= self._config.ack_timeout_s
+            timed_out = self._clock_s() - started >= self._config.ack_timeout_s
             is_settled = self._settle(row, answer)
             self._done(row.position, answer, is_settled, timed_out)
 
@@ -136,7 +137,7 @@ class Uploader:
         """The next row to send, when it is time; None at the end."""
         with self._changed:
             while not self._stopping:
-                pause_s = self._resume_at - time.monotonic()
+                pause_s = self._resume_at - self._clock_s()
                 if pause_s > 0:
                     self._changed.wait(pause_s)
                 elif (self._failing and self._under_way) or (row := self._take()) is None:
@@ -227,7 +228,7 @@ class Uploader:
 
     def _pause(self, overload_s: float) -> None:
         self._failing = True
-        now = time.monotonic()
+        now = self._clock_s()
         if now < self._resume_at:  # uploads that fail together are one failure
             return
         self._may_hurry = overload_s == 0.0

@@ -96,6 +96,10 @@ class RoomRobot:
         """Features of a frame's image."""
         return extract(self.image(frame), FeatureConfig())
 
+    def all_features(self, frame: Frame) -> tuple[Features, ...]:
+        """The same as one block."""
+        return (self.features(frame),)
+
 
 def _rays(camera: Camera) -> Array:
     """Directions (H, W, 3) in the camera's frame of all pixels."""

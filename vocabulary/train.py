@@ -1,8 +1,8 @@
-"""Train the vocabulary that ships with the repository: `make vocabulary`.
+"""Train the vocabularies that ship with the repository, one for each kind: `make vocabulary`.
 
-ORB features, extracted as the agents extract them, of recorded images whose licence allows it
-and of generated textures; no image of the benchmark scenes. (README.md says what was chosen by
-their recall.) Writes `orb_10k.bin` and beside it `provenance.json`: from what and how.
+Features, extracted as the agents extract them, of recorded images whose licence allows it and of
+generated textures; no image of the benchmark scenes. (README.md says what was chosen by their
+recall.) Writes `orb_10k.bin`, `sift_10k.bin` and beside them `provenance.json`: from what and how.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import covinz_core as core
 import cv2
 import numpy as np
-from covinz_agents.features import extract
+from covinz_agents.features import extract_kinds
 from numpy.typing import NDArray
 
-from covinz.config import FeatureConfig
+from covinz.config import FeatureConfig, FeatureKind
 from vocabulary.textures import draw_texture
 
 _HERE = Path(__file__).resolve().parent
@@ -30,6 +31,7 @@ _DEFAULT_DATA = _HERE.parents[1] / "shared" / "data"
 
 # As many images as the recording has, twice: a room is not the world.
 _NUM_TEXTURES = 480
+FILES: dict[FeatureKind, str] = {"orb": "orb_10k.bin", "sift": "sift_10k.bin"}
 # The shape of DBoW2 and the seed 0, decided before any recall was measured.
 _TRAINING = {"branching": 10, "depth": 4, "seed": 0, "max_iterations": 25}
 
@@ -57,48 +59,85 @@ def training_images(recording: Path, num_textures: int) -> Iterator[NDArray[np.u
         yield draw_texture(seed)
 
 
-def train(images: Iterator[NDArray[np.uint8]], **options: int) -> tuple[core.Vocabulary, list[int]]:
-    """Train a vocabulary; returns it with the number of descriptors of each image.
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """A vocabulary of one kind of feature.
+
+    Attributes:
+        vocabulary: What was trained.
+        counts: Number of descriptors of each image.
+    """
+
+    vocabulary: core.Vocabulary | core.ByteVocabulary
+    counts: list[int]
+
+
+def features_of(kind: FeatureKind) -> FeatureConfig:
+    """How the features of one kind are extracted: as by default."""
+    return FeatureConfig(kinds=(kind,))
+
+
+def train(images: Iterator[NDArray[np.uint8]], **options: int) -> dict[FeatureKind, Trained]:
+    """Train one vocabulary for each kind of feature.
 
     Args:
         images: Grey images, (H, W) uint8.
         options: Of `covinz_core.Vocabulary.train`.
     """
-    features = FeatureConfig()
-    descriptors = [extract(image, features).descriptors for image in images]
+    config = FeatureConfig(kinds=tuple(FILES))
+    descriptors: dict[FeatureKind, list[NDArray[np.uint8]]] = {kind: [] for kind in FILES}
+    for image in images:
+        for kind, features in zip(FILES, extract_kinds(image, config), strict=True):
+            descriptors[kind].append(features.descriptors)
+    return {kind: _trained(kind, blocks, options) for kind, blocks in descriptors.items()}
+
+
+def _trained(
+    kind: FeatureKind, descriptors: list[NDArray[np.uint8]], options: dict[str, int]
+) -> Trained:
     counts = [len(block) for block in descriptors]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return core.Vocabulary.train(np.concatenate(descriptors), offsets, **options), counts
+    of_kind = core.Vocabulary if kind == "orb" else core.ByteVocabulary
+    return Trained(of_kind.train(np.concatenate(descriptors), offsets, **options), counts)
 
 
-def provenance(vocabulary: core.Vocabulary, counts: list[int], num_recorded: int) -> dict[str, Any]:
-    """What the vocabulary was made from and how, for `provenance.json`."""
+def provenance(trained: dict[FeatureKind, Trained], num_recorded: int) -> dict[str, Any]:
+    """What the vocabularies were made from and how, for `provenance.json`."""
+    num_images = len(next(iter(trained.values())).counts)
+
+    def source(part: slice, **origin: str) -> dict[str, Any]:
+        counts = {kind: sum(one.counts[part]) for kind, one in trained.items()}
+        return {**origin, "images": len(range(num_images)[part]), "descriptors": counts}
+
     return {
-        "file": "orb_10k.bin",
-        "vocabulary_hash": vocabulary.hash,
-        "sha256": hashlib.sha256(vocabulary.to_bytes()).hexdigest(),
-        "num_words": vocabulary.num_words,
         "command": "make vocabulary",
         "training": _TRAINING,
-        "features": FeatureConfig().model_dump(mode="json"),
         "versions": {"opencv": cv2.__version__, "numpy": np.__version__},
+        "vocabularies": {
+            kind: {
+                "file": FILES[kind],
+                "vocabulary_hash": one.vocabulary.hash,
+                "sha256": hashlib.sha256(one.vocabulary.to_bytes()).hexdigest(),
+                "num_words": one.vocabulary.num_words,
+                "features": features_of(kind).model_dump(mode="json"),
+            }
+            for kind, one in trained.items()
+        },
         "sources": [
-            {
-                "name": "TUM RGB-D benchmark, freiburg1_rpy, colour images",
-                "url": "https://cvg.cit.tum.de/data/datasets/rgbd-dataset",
-                "licence": "CC BY 4.0",
-                "attribution": "J. Sturm, N. Engelhard, F. Endres, W. Burgard, D. Cremers: A "
+            source(
+                slice(num_recorded),
+                name="TUM RGB-D benchmark, freiburg1_rpy, colour images",
+                url="https://cvg.cit.tum.de/data/datasets/rgbd-dataset",
+                licence="CC BY 4.0",
+                attribution="J. Sturm, N. Engelhard, F. Endres, W. Burgard, D. Cremers: A "
                 "Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012",
-                "images": num_recorded,
-                "descriptors": sum(counts[:num_recorded]),
-            },
-            {
-                "name": "Generated textures, vocabulary/textures.py",
-                "licence": "Apache-2.0",
-                "attribution": "covinz",
-                "images": len(counts) - num_recorded,
-                "descriptors": sum(counts[num_recorded:]),
-            },
+            ),
+            source(
+                slice(num_recorded, None),
+                name="Generated textures, vocabulary/textures.py",
+                licence="Apache-2.0",
+                attribution="covinz",
+            ),
         ],
     }
 
@@ -112,14 +151,15 @@ def main() -> int:
     arguments = parser.parse_args()
     recording = arguments.data / "fr1_rpy"
     try:
-        vocabulary, counts = train(training_images(recording, _NUM_TEXTURES), **_TRAINING)
+        trained = train(training_images(recording, _NUM_TEXTURES), **_TRAINING)
     except FileNotFoundError as error:
         print(f"The recording to train on is not at hand: {error}", file=sys.stderr)
         return 1
-    (arguments.out / "orb_10k.bin").write_bytes(vocabulary.to_bytes())
-    record = provenance(vocabulary, counts, len(counts) - _NUM_TEXTURES)
+    for kind, one in trained.items():
+        (arguments.out / FILES[kind]).write_bytes(one.vocabulary.to_bytes())
+        print(f"{kind}: {one.vocabulary.num_words} words, {one.vocabulary.hash}")
+    record = provenance(trained, len(trained["orb"].counts) - _NUM_TEXTURES)
     (arguments.out / "provenance.json").write_text(json.dumps(record, indent=2) + "\n")
-    print(f"{vocabulary.num_words} words, {vocabulary.hash}")
     return 0
 
 

@@ -264,12 +264,15 @@ def _contents(
 
 def keyframe_content(part: Part, frame: Frame) -> KeyframeContent:
     """What a robot measures in one of its frames; raises DatasetError as its source."""
+    features, *more_features = part.source.all_features(frame)
     return KeyframeContent(
         frame.stamp_ns,
         frame.T_odom_body,
         part.source.camera,
-        part.source.features(frame),
+        features,
         part.covariance.get(frame.number),
+        frame.gravity_body,
+        more_features=tuple(more_features),
     )
 
 
@@ -282,6 +285,8 @@ def _send(robot: Robot, content: KeyframeContent) -> None:
         content.camera.hash,
         content.features,
         content.covariance,
+        content.gravity_body,
+        more_features=content.more_features,
     )
     robot.sent_bytes += len(codec.encode(sent))
     robot.sent += 1

@@ -24,7 +24,7 @@ from covinz.scenario import (
 from covinz.trajectory import Trajectory
 from covinz.types import Array, Camera, Features
 from covinz_agents.drift import drifting_odometry
-from covinz_agents.features import extract
+from covinz_agents.features import extract, extract_kinds
 from covinz_agents.source import DatasetError, Frame
 
 A = TypeVar("A", bound=TumAgent | AslAgent)
@@ -108,8 +108,12 @@ class RecordedImages(ABC, Generic[A]):
         return image
 
     def features(self, frame: Frame) -> Features:
-        """Features of a frame's image; raises DatasetError as `image`."""
+        """Features of a frame's image, of the first kind; raises DatasetError as `image`."""
         return extract(self.image(frame), self._agent.features)
+
+    def all_features(self, frame: Frame) -> tuple[Features, ...]:
+        """Features of a frame's image, one block for each kind; raises as `image`."""
+        return extract_kinds(self.image(frame), self._agent.features)
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ from covinz.scenario import FileOdometry, RenderedAgent, RenderedPath, Scenario,
 from covinz.trajectory import Trajectory, read_tum
 from covinz.types import Array, Camera, Features
 from covinz_agents.drift import drifting_odometry, seed_of
-from covinz_agents.features import extract
+from covinz_agents.features import extract, extract_kinds
 from covinz_agents.paths import given_positions_m, true_path
 from covinz_agents.source import DatasetError, Frame
 from covinz_agents.studio import Shot, Studio, studio, visit
@@ -55,7 +55,7 @@ class RenderedRobot:
         if not len(self._rows):
             raise DatasetError(f"{agent.id}: no image has an odometry pose")
         self._frames = [
-            Frame(int(row), int(self._truth.stamps_ns[row]), T)
+            Frame(int(row), int(self._truth.stamps_ns[row]), T, self._gravity(int(row)))
             for row, T in zip(self._rows, T_odom_body, strict=True)
         ]
         self._visit = visit(self._world, agent.look, self._camera, agent.sensor)
@@ -99,8 +99,12 @@ class RenderedRobot:
         return self._studio.picture(self._visit, self._shot(frame.number))
 
     def features(self, frame: Frame) -> Features:
-        """Features of a frame's image; raises as `image`."""
+        """Features of a frame's image, of the first kind; raises as `image`."""
         return extract(self.image(frame), self._agent.features)
+
+    def all_features(self, frame: Frame) -> tuple[Features, ...]:
+        """Features of a frame's image, one block for each kind; raises as `image`."""
+        return extract_kinds(self.image(frame), self._agent.features)
 
     def _true_path(self) -> Trajectory:
         agent = self._agent
@@ -130,6 +134,16 @@ class RenderedRobot:
         if odometry.frame == "camera":
             poses = poses @ frames.inverse(self._camera.T_body_cam)
         return found, frames.inverse(poses[:1]) @ poses
+
+    def _gravity(self, row: int) -> Array | None:
+        """Down in the body frame, as an accelerometer would have it."""
+        sigma_rad = self._agent.gravity_sigma_rad
+        if sigma_rad is None:
+            return None
+        rng = np.random.default_rng(seed_of("gravity", self._seed, self._agent.id, row))
+        error = frames.so3_exp(rng.normal(scale=sigma_rad, size=3))
+        down: Array = error @ -self._truth.T_ref_body[row][2, :3]
+        return down
 
     def _shot(self, row: int) -> Shot:
         blur_s = self._agent.sensor.blur_s

@@ -29,14 +29,18 @@ class Frame:
         number: Which of the source's images.
         stamp_ns: Time of exposure.
         T_odom_body: (4, 4) odometry at that time.
+        gravity_body: (3,) unit direction of gravity in the body frame, where it was measured.
     """
 
     number: int
     stamp_ns: int
     T_odom_body: Array
+    gravity_body: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_odom_body", frozen_array(self.T_odom_body, (4, 4)))
+        if self.gravity_body is not None:
+            object.__setattr__(self, "gravity_body", frozen_array(self.gravity_body, (3,)))
 
 
 class Source(Protocol):
@@ -62,4 +66,7 @@ class Source(Protocol):
         """A frame's image, (H, W) grey or (H, W, 3) BGR; raises DatasetError."""
 
     def features(self, frame: Frame) -> Features:
-        """Features of a frame; raises DatasetError when its image cannot be read."""
+        """Features of a frame's first kind; raises DatasetError if its image cannot be read."""
+
+    def all_features(self, frame: Frame) -> tuple[Features, ...]:
+        """Features of a frame, one block for each kind; raises as `features`."""

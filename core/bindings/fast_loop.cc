@@ -93,6 +93,8 @@ void BindFastLoopOptions(nb::module_& m) {
       .def_rw("max_sigma_translation_m", &FastLoopOptions::max_sigma_translation_m)
       .def_rw("max_translation_m", &FastLoopOptions::max_translation_m)
       .def_rw("max_rotation_rad", &FastLoopOptions::max_rotation_rad)
+      .def_rw("instruction_set", &FastLoopOptions::instruction_set,
+              "Of all kernels, by default the best one; results differ by rounding at most.")
       .def_rw("seed", &FastLoopOptions::seed)
       .def("check", &FastLoopOptions::Check, "Raises ValueError for a value out of range.");
 }

@@ -2,10 +2,12 @@
 #include "bindings.h"
 
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
@@ -125,6 +127,12 @@ void BindRigCamera(nb::module_& m) {
       .def_prop_ro("num_keypoints", [](const RigCamera& self) { return self.bearings.rows(); });
 }
 
+std::vector<std::pair<std::string, double>> ToPairs(const std::vector<StageTime>& times) {
+  std::vector<std::pair<std::string, double>> pairs;
+  for (const StageTime& time : times) pairs.emplace_back(time.name, time.ms);
+  return pairs;
+}
+
 void BindLoopResult(nb::module_& m) {
   nb::class_<LoopEstimate>(m, "LoopEstimate", "A verified loop.")
       .def_prop_ro(
@@ -143,7 +151,11 @@ void BindLoopResult(nb::module_& m) {
               "Of the fast profile: per motion of the candidate's rig, then of the query's, (6,),\n"
               "odometry's residuals in its standard deviations.")
       .def_ro("independent_px", &LoopEstimate::independent_px, "Noise of a keypoint's own.")
-      .def_ro("shared_px", &LoopEstimate::shared_px, "Noise that neighbouring keypoints share.");
+      .def_ro("shared_px", &LoopEstimate::shared_px, "Noise that neighbouring keypoints share.")
+      .def_prop_ro(
+          "stage_ms", [](const LoopEstimate& self) { return ToPairs(self.stage_ms); },
+          "Wall time of the stages, in order: (name, ms). matching, pairs (of the paper profile),\n"
+          "rig or hypotheses and refinement, covariance. Differs from run to run.");
   nb::class_<LoopSolution>(m, "LoopSolution", "One of several solutions that are alike.")
       .def_prop_ro(
           "T_cand_query",
@@ -161,6 +173,9 @@ void BindLoopResult(nb::module_& m) {
       .def_ro("count", &LoopRejection::count)
       .def_ro("threshold", &LoopRejection::threshold)
       .def_ro("solutions", &LoopRejection::solutions, "Of ambiguous: the best two.")
+      .def_prop_ro(
+          "stage_ms", [](const LoopRejection& self) { return ToPairs(self.stage_ms); },
+          "As in LoopEstimate, up to the stage that failed.")
       .def("__repr__", [](const LoopRejection& self) {
         return "LoopRejection(" + self.stage + ": " + std::to_string(self.count) + " against " +
                std::to_string(self.threshold) + ")";

@@ -1,18 +1,7 @@
-// Conversion and nearest neighbour of 256-bit descriptors.
+// Nearest neighbour of 256-bit descriptors.
 #include "covinz/binary_descriptor.h"
 
-#include <cstring>
-
 namespace covinz {
-
-std::vector<BinaryDescriptor> BinaryDescriptorsFromBytes(const uint8_t* bytes,
-                                                         size_t num_descriptors) {
-  std::vector<BinaryDescriptor> descriptors(num_descriptors);
-  if (num_descriptors > 0) {
-    std::memcpy(descriptors.data(), bytes, num_descriptors * kDescriptorBytes);
-  }
-  return descriptors;
-}
 
 COVINZ_POPCNT_CLONES
 size_t NearestDescriptor(const BinaryDescriptor& query,

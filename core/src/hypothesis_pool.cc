@@ -20,7 +20,7 @@ constexpr double kMinRelativeRough = 0.6;
 // biweight leaves matches at its limit without weight.
 constexpr double kWidths[] = {4.0, 2.0, 1.5};
 constexpr int kIterationsPerWidth = 3;
-constexpr int kFinalIterations = 20;
+constexpr int kFinalIterations = 8;
 // About as many matches are enough to get near an optimum, and to tell which pose is better.
 constexpr int kNumApproachMatches = 300;
 // An optimisation that comes this near to an earlier optimum would end there; in units of the

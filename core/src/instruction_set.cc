@@ -13,7 +13,7 @@ bool IsSupported(InstructionSet instruction_set) {
       return true;
 #elif defined(__x86_64__)
     case InstructionSet::kSse42:
-      return __builtin_cpu_supports("sse4.2");
+      return __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
     case InstructionSet::kAvx2:
       return __builtin_cpu_supports("avx2");
     case InstructionSet::kAvx512:

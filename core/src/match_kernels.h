@@ -18,6 +18,7 @@ inline constexpr size_t kMaxTileRows = 8;
 // PackedDescriptors as the kernels read them.
 struct PackedView {
   const uint32_t* groups;
+  const uint64_t* words;
   const uint32_t* sums;
   const uint32_t* squared_norms;
   size_t num_groups;
@@ -38,8 +39,8 @@ struct MatchTile {
   int32_t first_row_index;  // index of first_row in column_keys
   // Least key of each candidate so far, its index the query row; updated.
   int32_t* column_keys;
-  // Least and second least key of each row and lane, its index the vector, 0 for first_vector;
-  // row by row, written.
+  // Least and second least key of each row, its index the candidate, 0 for the first one of
+  // first_vector; written.
   int32_t* best;
   int32_t* second;
 };

@@ -50,6 +50,29 @@ COVINZ_INLINE Lanes Beyond(const MatchTile& tile, size_t first_cand) {
   return mask;
 }
 
+// The least and the second least of all lanes.
+COVINZ_INLINE void Reduce(const Lanes& best_lanes,
+                          const Lanes& second_lanes,
+                          int32_t* least,
+                          int32_t* second_least) {
+  int32_t best[COVINZ_LANES];
+  int32_t second[COVINZ_LANES];
+  Store(best, best_lanes);
+  Store(second, second_lanes);
+  for (size_t half = COVINZ_LANES / 2; half > 0; half /= 2) {
+    for (size_t i = 0; i < half; ++i) {
+      const int32_t a = best[i];
+      const int32_t b = best[i + half];
+      const int32_t c = second[i] < second[i + half] ? second[i] : second[i + half];
+      const int32_t worse = a < b ? b : a;
+      second[i] = worse < c ? worse : c;
+      best[i] = a < b ? a : b;
+    }
+  }
+  *least = best[0];
+  *second_least = second[0];
+}
+
 // Distances<kRows>(tile, row) of kRows query rows from `row` on: Keys(cand, keys) fills keys[kRows]
 // with the distances to a vector of candidates, shifted left by key_shift.
 template <template <size_t> class Distances, size_t kRows>
@@ -58,7 +81,9 @@ COVINZ_INLINE void ScanRows(const MatchTile& tile, size_t row_in_tile) {
   Lanes best[kRows];
   Lanes second[kRows];
   for (size_t r = 0; r < kRows; ++r) best[r] = second[r] = Lanes{} + kNoKey;
-  for (size_t v = 0; v < tile.num_vectors; ++v) {
+  Lanes indices;
+  for (size_t lane = 0; lane < COVINZ_LANES; ++lane) indices[lane] = static_cast<int32_t>(lane);
+  for (size_t v = 0; v < tile.num_vectors; ++v, indices += COVINZ_LANES) {
     const size_t cand = (tile.first_vector + v) * COVINZ_LANES;
     Lanes keys[kRows];
     distances.Keys(cand, keys);
@@ -67,7 +92,7 @@ COVINZ_INLINE void ScanRows(const MatchTile& tile, size_t row_in_tile) {
     int32_t row_index = tile.first_row_index + static_cast<int32_t>(row_in_tile);
     for (size_t r = 0; r < kRows; ++r, ++row_index) {
       const Lanes key = keys[r] | beyond;
-      const Lanes row_key = key | static_cast<int32_t>(v);
+      const Lanes row_key = key | indices;
       second[r] = Min(second[r], Max(best[r], row_key));
       best[r] = Min(best[r], row_key);
       column = Min(column, key | row_index);
@@ -75,8 +100,7 @@ COVINZ_INLINE void ScanRows(const MatchTile& tile, size_t row_in_tile) {
     Store(tile.column_keys + cand, column);
   }
   for (size_t r = 0; r < kRows; ++r) {
-    Store(tile.best + (row_in_tile + r) * COVINZ_LANES, best[r]);
-    Store(tile.second + (row_in_tile + r) * COVINZ_LANES, second[r]);
+    Reduce(best[r], second[r], tile.best + row_in_tile + r, tile.second + row_in_tile + r);
   }
 }
 

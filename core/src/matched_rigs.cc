@@ -19,9 +19,10 @@ std::vector<PackedDescriptors> Pack(const std::vector<RigCamera>& cameras) {
 
 MatchedRigs MatchRigs(const std::vector<RigCamera>& query,
                       const std::vector<RigCamera>& cand,
-                      const MatchingOptions& options) {
+                      const MatchingOptions& options,
+                      InstructionSet instruction_set) {
   MatchedRigs result;
-  result.keypoints = MatchRigs(Pack(query), Pack(cand), options);
+  result.keypoints = MatchRigs(Pack(query), Pack(cand), options, instruction_set);
   for (const RigCamera& camera : query) result.rigs.T_query_cam.push_back(camera.T_rig_cam);
   for (const RigCamera& camera : cand) result.rigs.T_cand_cam.push_back(camera.T_rig_cam);
   for (size_t q = 0; q < query.size(); ++q) {

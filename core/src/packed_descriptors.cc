@@ -36,19 +36,28 @@ void PackedDescriptors::Pack(const Descriptors& descriptors) {
   constexpr size_t kGroupBytes = sizeof(uint32_t);
   num_groups_ = (num_bytes_ + kStepBytes - 1) / kStepBytes * (kStepBytes / kGroupBytes);
   const size_t num_padded = (rows_.size() + kLanes - 1) / kLanes * kLanes;
+  const size_t num_words = num_groups_ / 2;
   groups_.assign(num_padded * num_groups_, 0);
+  words_.assign(num_padded * num_words, 0);
   sums_.assign(num_padded, 0);
   squared_norms_.assign(num_padded, 0);
   for (size_t i = 0; i < rows_.size(); ++i) {
     const uint8_t* bytes = descriptors.data() + static_cast<size_t>(rows_[i]) * num_bytes_;
+    uint64_t* words = words_.data() + i * num_words;
+    std::memcpy(words, bytes, num_bytes_);
     uint32_t* groups = groups_.data() + i / kLanes * kLanes * num_groups_ + i % kLanes;
-    for (size_t k = 0; k < num_bytes_; k += kGroupBytes, groups += kLanes) {
-      std::memcpy(groups, bytes + k, std::min(kGroupBytes, num_bytes_ - k));
+    for (size_t g = 0; g < num_groups_; ++g) {
+      std::memcpy(groups + g * kLanes, reinterpret_cast<const uint8_t*>(words) + g * kGroupBytes,
+                  kGroupBytes);
     }
+    uint32_t sum = 0;
+    uint32_t squared_norm = 0;
     for (size_t k = 0; k < num_bytes_; ++k) {
-      sums_[i] += bytes[k];
-      squared_norms_[i] += uint32_t{bytes[k]} * bytes[k];
+      sum += bytes[k];
+      squared_norm += uint32_t{bytes[k]} * bytes[k];
     }
+    sums_[i] = sum;
+    squared_norms_[i] = squared_norm;
   }
 }
 

@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "adjustment_kernels.h"
 #include "covinz/bearing_residual.h"
 #include "covinz/rig_refinement.h"
 
@@ -19,12 +20,23 @@ struct AdjustedMotion {
   Matrix6d whitening;  // L^-1, L L^T the covariance
 };
 
+// The tracks as the kernels take them, those of the same cameras side by side.
+struct TrackBlocks {
+  std::vector<AdjustmentView> views;
+  std::vector<size_t> begins = {0};  // first view of each block, and one past the last view
+  std::vector<int> tracks;           // of each lane of each block; negative for empty lanes
+
+  size_t size() const { return begins.size() - 1; }
+};
+
 // What is measured. Cameras are numbered as in RigTracks; camera 0 is the world.
 struct RigAdjustment {
   int num_cameras = 0;
   std::vector<AdjustedMotion> motions;
   std::vector<BearingMeasurement> observations;
-  std::vector<int> begins;      // of each track, and one past the last observation
+  std::vector<int> begins;  // of each track, and one past the last observation
+  TrackBlocks blocks;       // of all tracks, where equations are wanted
+  InstructionSet instruction_set = InstructionSet::kPortable;
   double keypoint_loss2 = 0.0;  // c^2 of the losses
   double motion_loss2 = 0.0;
   double inverse_distance_information = 0.0;
@@ -32,8 +44,11 @@ struct RigAdjustment {
   size_t NumTracks() const { return begins.size() - 1; }
   // Information on a point before its keypoints. That on the direction only keeps a point finite
   // all of whose keypoints are outliers.
+  static constexpr double kDirectionInformation = 1e-6;
   Eigen::Matrix3d PointInformation() const {
-    return Eigen::Vector3d(1e-6, 1e-6, inverse_distance_information).asDiagonal();
+    return Eigen::Vector3d(kDirectionInformation, kDirectionInformation,
+                           inverse_distance_information)
+        .asDiagonal();
   }
   // Unknowns of the cameras: six each but for camera 0.
   Eigen::Index NumCameraUnknowns() const { return 6 * (num_cameras - 1); }
@@ -52,6 +67,9 @@ RigAdjustment MakeAdjustment(const RefinedRig& cand,
                              const RigTracks& tracks,
                              const RigRefinementOptions& options);
 
+// For RigAdjustment.blocks.
+TrackBlocks BlockTracks(const RigAdjustment& problem);
+
 // Poses of all cameras in the frame of the candidate's first.
 std::vector<Eigen::Isometry3d> CamerasInWorld(const std::vector<Eigen::Isometry3d>& T_cand_cam,
                                               const std::vector<Eigen::Isometry3d>& T_query_cam,
@@ -62,12 +80,9 @@ std::vector<Eigen::Isometry3d> CamerasInWorld(const std::vector<Eigen::Isometry3
 struct ReducedSystem {
   Eigen::MatrixXd hessian;
   Eigen::VectorXd gradient;
-  struct Point {
-    Eigen::Matrix3d inverse_hessian;
-    Eigen::Vector3d gradient;
-  };
-  std::vector<Point> points;                           // by track
-  std::vector<Eigen::Matrix<double, 6, 3>> couplings;  // by observation: J_cam^T J_point
+  std::vector<PointEquations> points;        // by block
+  std::vector<CouplingEquations> couplings;  // by view: J_cam^T J_point
+  std::vector<double> lane_sums;             // working memory
 };
 
 // Loss and weight of a squared error: Cauchy's, w = d rho / d s.
@@ -95,8 +110,8 @@ struct MotionResidual {
 };
 MotionResidual EvaluateMotion(const AdjustedMotion& motion, const RigAdjustmentState& state);
 
-// Diagonals are multiplied by 1 + damping. Returns the cost of the state, a keypoint behind its
-// camera counting as one at a right angle. Source: Marquardt 1963.
+// Needs the problem's blocks. Diagonals are multiplied by 1 + damping. Returns the cost of the
+// state, a keypoint behind its camera counting as one at a right angle. Source: Marquardt 1963.
 double Linearize(const RigAdjustment& problem,
                  const RigAdjustmentState& state,
                  double damping,

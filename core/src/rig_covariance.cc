@@ -49,10 +49,10 @@ Cell CellOf(const BearingMeasurement& measured, double cell_rad) {
 // then y of all, make a block, so that Q is block-diagonal.
 class Cells {
  public:
-  Cells(const RigAdjustment& problem, double cell_rad) {
+  Cells(const RigAdjustment& problem, const RefinementCovarianceOptions& options) {
     std::vector<Cell> of_observation;
     for (const BearingMeasurement& measured : problem.observations) {
-      of_observation.push_back(CellOf(measured, cell_rad));
+      of_observation.push_back(CellOf(measured, options.cell_rad));
     }
     cells_ = of_observation;
     std::sort(cells_.begin(), cells_.end());
@@ -67,6 +67,9 @@ class Cells {
       x_errors_.push_back(begin + n);
       y_errors_.push_back(n + begins_[static_cast<size_t>(cell.camera) + 1]);
     }
+    for (size_t c = 0; c + 1 < begins_.size(); ++c) {
+      correlations_.push_back(Correlation(begins_[c], begins_[c + 1] - begins_[c], options));
+    }
   }
 
   Eigen::Index NumErrors() const { return 2 * static_cast<Eigen::Index>(cells_.size()); }
@@ -77,11 +80,11 @@ class Cells {
 
   // A Q.
   template <typename Matrix>
-  Matrix TimesCorrelation(const Matrix& A, const RefinementCovarianceOptions& options) const {
+  Matrix TimesCorrelation(const Matrix& A) const {
     Matrix product(A.rows(), A.cols());
     for (size_t c = 0; c + 1 < begins_.size(); ++c) {
       const Eigen::Index n = begins_[c + 1] - begins_[c];
-      const Matrix Q = Correlation(begins_[c], n, options).template cast<typename Matrix::Scalar>();
+      const Matrix Q = correlations_[c].template cast<typename Matrix::Scalar>();
       for (const Eigen::Index first : {2 * begins_[c], 2 * begins_[c] + n}) {
         product.middleCols(first, n).noalias() = A.middleCols(first, n) * Q;
       }
@@ -94,16 +97,22 @@ class Cells {
   Eigen::MatrixXd Correlation(Eigen::Index begin,
                               Eigen::Index n,
                               const RefinementCovarianceOptions& options) const {
+    const double longest_rad = std::ldexp(options.min_length_rad, options.num_octaves - 1);
     Eigen::MatrixXd Q(n, n);
     for (Eigen::Index i = 0; i < n; ++i) {
       for (Eigen::Index j = 0; j <= i; ++j) {
         const Cell& a = cells_[static_cast<size_t>(begin + i)];
         const Cell& b = cells_[static_cast<size_t>(begin + j)];
-        const double distance = options.cell_rad * std::hypot(a.across - b.across, a.down - b.down);
+        const double across = options.cell_rad * (a.across - b.across);
+        const double down = options.cell_rad * (a.down - b.down);
+        // Of the longest octave; half the length is four times the exponent.
+        double correlation =
+            std::exp(-0.5 * (across * across + down * down) / (longest_rad * longest_rad));
         double sum = 0.0;
         for (int octave = 0; octave < options.num_octaves; ++octave) {
-          const double length = std::ldexp(options.min_length_rad, octave);
-          sum += std::exp(-0.5 * distance * distance / (length * length));
+          sum += correlation;
+          correlation *= correlation;
+          correlation *= correlation;
         }
         Q(i, j) = Q(j, i) = sum / options.num_octaves;
       }
@@ -115,6 +124,7 @@ class Cells {
   std::vector<Eigen::Index> begins_;  // first cell of each camera, and one past the last
   std::vector<Eigen::Index> x_errors_;
   std::vector<Eigen::Index> y_errors_;
+  std::vector<Eigen::MatrixXd> correlations_;  // between the cells of each camera
 };
 
 // An observation of the track at hand, all by the root of its weight.
@@ -210,13 +220,11 @@ struct VarianceComponents {
 VarianceComponents EstimateComponents(const CellSums& sums,
                                       const Cells& cells,
                                       double weighted_variance,
-                                      double min_independent,
-                                      const RefinementCovarianceOptions& options) {
-  const Eigen::MatrixXf KQ = cells.TimesCorrelation(sums.kernel, options);
+                                      double min_independent) {
+  const Eigen::MatrixXf KQ = cells.TimesCorrelation(sums.kernel);
   const double tr_KQ = KQ.trace();
   const double tr_KQKQ = KQ.cwiseProduct(KQ.transpose()).sum();
-  const Eigen::MatrixXd sums_Q =
-      cells.TimesCorrelation<Eigen::MatrixXd>(sums.residual.transpose(), options);
+  const Eigen::MatrixXd sums_Q = cells.TimesCorrelation<Eigen::MatrixXd>(sums.residual.transpose());
   const double square = sums.residual2 / weighted_variance;
   const double cells_square = (sums_Q * sums.residual)(0) / weighted_variance;
   const double determinant = sums.dof * tr_KQKQ - tr_KQ * tr_KQ;
@@ -232,8 +240,7 @@ VarianceComponents EstimateComponents(const CellSums& sums,
 Eigen::MatrixXd PriorHessian(RigAdjustment problem,
                              const RigAdjustmentState& state,
                              Eigen::Index q) {
-  problem.observations.clear();
-  problem.begins = {0};
+  problem.blocks = {};
   ReducedSystem system;
   Linearize(problem, state, 0.0, system);
   system.hessian.diagonal().segment<6>(q).array() += 1e-4;
@@ -261,7 +268,8 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   options.Check();
   cand.Check();
   query.Check();
-  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, refinement_options);
+  RigAdjustment problem = MakeAdjustment(cand, query, tracks, refinement_options);
+  problem.blocks = BlockTracks(problem);
   const RigAdjustmentState state{
       CamerasInWorld(refinement.T_cand_cam, refinement.T_query_cam, refinement.T_cand_query),
       refinement.points};
@@ -275,7 +283,7 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   const Eigen::MatrixXd H_keypoints = system.hessian - H_prior;
   const Eigen::MatrixXd inverse = system.hessian.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
 
-  const Cells cells(problem, options.cell_rad);
+  const Cells cells(problem, options);
   CellSums sums = SumCells(problem, state, cells);
   // The cameras take their share of the errors as well.
   const Eigen::MatrixXd influence = inverse * sums.coupling;
@@ -283,13 +291,13 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   sums.dof -= inverse.cwiseProduct(H_keypoints).sum();
   const double min_sigma = options.min_independent_px / refinement_options.sigma_px;
   const VarianceComponents variance = EstimateComponents(
-      sums, cells, WeightedVariance(problem.keypoint_loss2), min_sigma * min_sigma, options);
+      sums, cells, WeightedVariance(problem.keypoint_loss2), min_sigma * min_sigma);
 
   const auto rows = inverse.middleRows<6>(q);
   const Eigen::MatrixXd cells_rows = influence.middleRows<6>(q);
   const Matrix6d camera =
       rows * (H_prior + variance.independent * H_keypoints) * rows.transpose() +
-      variance.shared * cells.TimesCorrelation(cells_rows, options) * cells_rows.transpose();
+      variance.shared * cells.TimesCorrelation(cells_rows) * cells_rows.transpose();
   const Matrix6d Ad = AdjointSE3(query.T_rig_cam[0]);
   const Matrix6d covariance = Ad * camera * Ad.transpose();
   return {0.5 * (covariance + covariance.transpose()),

@@ -56,8 +56,8 @@ const MatchKernels& KernelsFor(InstructionSet instruction_set) {
 }
 
 PackedView View(const PackedDescriptors& packed) {
-  return {packed.groups().data(), packed.sums().data(), packed.squared_norms().data(),
-          packed.num_groups(), packed.size()};
+  return {packed.groups().data(),        packed.words().data(), packed.sums().data(),
+          packed.squared_norms().data(), packed.num_groups(),   packed.size()};
 }
 
 // Bits that the largest distance leaves for the index.
@@ -79,9 +79,9 @@ class PairScan {
       : num_lanes_(kernels.num_lanes),
         scan_(norm == DescriptorNorm::kHamming ? kernels.hamming : kernels.l2),
         num_vectors_((cand.size() + num_lanes_ - 1) / num_lanes_),
-        column_keys_(cand.squared_norms().size(), kNoKey),
-        best_(kMaxTileRows * num_lanes_),
-        second_(kMaxTileRows * num_lanes_) {
+        column_keys_(cand.sums().size(), kNoKey),
+        best_(kMaxTileRows),
+        second_(kMaxTileRows) {
     tile_.query = View(query);
     tile_.cand = View(cand);
     tile_.key_shift = KeyShift(query.num_bytes(), norm);
@@ -101,9 +101,9 @@ class PairScan {
         tile_.first_row = row;
         tile_.num_rows = std::min(kMaxTileRows, end - row);
         tile_.first_row_index = static_cast<int32_t>(row - begin);
-        for (size_t v = 0; v < num_vectors_; v += chunk) {
+        for (size_t v = 0; v < num_vectors_; v += chunk / num_lanes_) {
           tile_.first_vector = v;
-          tile_.num_vectors = std::min(chunk, num_vectors_ - v);
+          tile_.num_vectors = std::min(chunk / num_lanes_, num_vectors_ - v);
           scan_(tile_);
           TakeRows();
         }
@@ -117,18 +117,14 @@ class PairScan {
   void TakeRows() {
     for (size_t r = 0; r < tile_.num_rows; ++r) {
       TwoNearest& nearest = neighbours_.of_query[tile_.first_row + r];
-      for (size_t lane = 0; lane < num_lanes_; ++lane) {
-        const int32_t best = best_[r * num_lanes_ + lane];
-        const int32_t second = second_[r * num_lanes_ + lane];
-        if (best != kNoKey) nearest.Take(Candidate(best, lane));
-        if (second != kNoKey) nearest.Take(Candidate(second, lane));
-      }
+      if (best_[r] != kNoKey) nearest.Take(Candidate(best_[r]));
+      if (second_[r] != kNoKey) nearest.Take(Candidate(second_[r]));
     }
   }
 
-  Nearest Candidate(int32_t key, size_t lane) const {
-    const size_t vector = tile_.first_vector + static_cast<size_t>(Index(key));
-    return {Distance(key), static_cast<uint32_t>(vector * num_lanes_ + lane)};
+  Nearest Candidate(int32_t key) const {
+    const size_t first = tile_.first_vector * num_lanes_;
+    return {Distance(key), static_cast<uint32_t>(first) + Index(key)};
   }
 
   void TakeColumns(size_t first_row) {

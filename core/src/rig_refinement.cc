@@ -141,6 +141,9 @@ void RigRefinementOptions::Check() const {
         max_inverse_distance_per_m > 0.0)) {
     throw std::invalid_argument("RigRefinementOptions: sigmas, losses and limits must be positive");
   }
+  if (!IsSupported(instruction_set)) {
+    throw std::invalid_argument("RigRefinementOptions: this processor lacks the instruction set");
+  }
   if (max_num_iterations < 0 || !(min_relative_decrease >= 0.0)) {
     throw std::invalid_argument("RigRefinementOptions: iterations and decrease must be >= 0");
   }
@@ -149,14 +152,19 @@ void RigRefinementOptions::Check() const {
 RigRefinement RefineRigs(const RefinedRig& cand,
                          const RefinedRig& query,
                          const RigTracks& tracks,
-                         const Eigen::Isometry3d& T_cand_query,
+                         const RigPoses& start,
                          const RigRefinementOptions& options) {
   options.Check();
   cand.Check();
   query.Check();
-  const RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  if (start.T_cand_cam.size() != cand.T_rig_cam.size() ||
+      start.T_query_cam.size() != query.T_rig_cam.size()) {
+    throw std::invalid_argument("RefineRigs: a start must have the cameras of the rigs");
+  }
+  RigAdjustment problem = MakeAdjustment(cand, query, tracks, options);
+  problem.blocks = BlockTracks(problem);
   RigAdjustmentState state;
-  state.T_world_cam = CamerasInWorld(cand.T_rig_cam, query.T_rig_cam, T_cand_query);
+  state.T_world_cam = CamerasInWorld(start.T_cand_cam, start.T_query_cam, start.T_cand_query);
   state.points = Triangulate(problem, state.T_world_cam);
   RigRefinement result;
   result.num_iterations = Minimize(problem, options, state, result.cost);
@@ -167,6 +175,14 @@ RigRefinement RefineRigs(const RefinedRig& cand,
   }
   result.points = std::move(state.points);
   return result;
+}
+
+RigRefinement RefineRigs(const RefinedRig& cand,
+                         const RefinedRig& query,
+                         const RigTracks& tracks,
+                         const Eigen::Isometry3d& T_cand_query,
+                         const RigRefinementOptions& options) {
+  return RefineRigs(cand, query, tracks, {cand.T_rig_cam, query.T_rig_cam, T_cand_query}, options);
 }
 
 }  // namespace covinz

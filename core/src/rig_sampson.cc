@@ -2,28 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 
 #include "sampson_kernels.h"
 
 namespace covinz {
 namespace {
-
-SampsonPose PoseOf(const Eigen::Matrix3d& R,
-                   const Eigen::Vector3d& baseline,
-                   double query_weight,
-                   double cand_weight,
-                   double max_error_px) {
-  SampsonPose pose;
-  Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(pose.R) = R;
-  Eigen::Map<Eigen::Vector3d>(pose.b) = baseline;
-  pose.query_weight = query_weight;
-  pose.cand_weight = cand_weight;
-  pose.max_error2 = max_error_px * max_error_px;
-  pose.max_sine2 = pose.max_error2 * (query_weight + cand_weight);
-  return pose;
-}
 
 Matrix6d Symmetric(const double upper[21]) {
   Matrix6d matrix;
@@ -52,15 +36,15 @@ RigSampson::RigSampson(const RigPairs& rigs, InstructionSet instruction_set)
     pair.num_matches = static_cast<int>(matches.size());
     pair.first_block = rays_.size() / kBlockSize;
     pair.num_blocks = (matches.size() + kLanes - 1) / kLanes;
-    rays_.resize(rays_.size() + pair.num_blocks * kBlockSize,
-                 std::numeric_limits<double>::quiet_NaN());
+    rays_.resize(rays_.size() + pair.num_blocks * kBlockSize, 0.0f);
     for (size_t i = 0; i < matches.size(); ++i) {
-      double* lane = &rays_[(pair.first_block + i / kLanes) * kBlockSize + i % kLanes];
+      float* lane =
+          &rays_[(pair.first_block + i % pair.num_blocks) * kBlockSize + i / pair.num_blocks];
       const Eigen::Vector3d q = T_query_cam.linear() * matches.query[i];
       const Eigen::Vector3d c = T_cand_cam.linear() * matches.cand[i];
       for (int k = 0; k < 3; ++k) {
-        lane[static_cast<size_t>(k) * kLanes] = q[k];
-        lane[static_cast<size_t>(k + 3) * kLanes] = c[k];
+        lane[static_cast<size_t>(k) * kLanes] = static_cast<float>(q[k]);
+        lane[static_cast<size_t>(k + 3) * kLanes] = static_cast<float>(c[k]);
       }
     }
     num_matches_ += pair.num_matches;
@@ -68,83 +52,100 @@ RigSampson::RigSampson(const RigPairs& rigs, InstructionSet instruction_set)
   }
 }
 
-Eigen::Vector3d RigSampson::Baseline(const Pair& pair,
-                                     const Eigen::Isometry3d& T_cand_query) const {
-  return T_cand_query * pair.query_centre - pair.cand_centre;
+SampsonTask RigSampson::TaskOf(size_t pair_index,
+                               const Eigen::Matrix3d& R_cand_query,
+                               const Eigen::Vector3d& translation,
+                               double max_error_px) const {
+  const Pair& pair = pairs_[pair_index];
+  SampsonTask task;
+  const Eigen::Vector3d lever = R_cand_query * pair.query_centre;
+  Eigen::Map<Eigen::Matrix<float, 3, 3, Eigen::RowMajor>>(task.R) = R_cand_query.cast<float>();
+  Eigen::Map<Eigen::Vector3f>(task.lever) = lever.cast<float>();
+  Eigen::Map<Eigen::Vector3f>(task.b) = (lever + translation - pair.cand_centre).cast<float>();
+  task.query_weight = static_cast<float>(pair.query_weight);
+  task.cand_weight = static_cast<float>(pair.cand_weight);
+  task.max_error2 = static_cast<float>(max_error_px * max_error_px);
+  task.max_sine2 = task.max_error2 * (task.query_weight + task.cand_weight);
+  task.blocks = rays_.data() + pair.first_block * kBlockSize;
+  task.num_blocks = pair.num_blocks;
+  return task;
 }
 
-RigScore RigSampson::ScorePair(size_t pair_index,
+std::vector<SampsonTask> RigSampson::Tasks(const Eigen::Isometry3d& T_cand_query,
+                                           double max_error_px) const {
+  std::vector<SampsonTask> tasks;
+  tasks.reserve(pairs_.size());
+  for (size_t p = 0; p < pairs_.size(); ++p) {
+    tasks.push_back(TaskOf(p, T_cand_query.linear(), T_cand_query.translation(), max_error_px));
+  }
+  return tasks;
+}
+
+RigScore RigSampson::ScorePair(size_t pair,
                                const Eigen::Matrix3d& R_cand_query,
                                const Eigen::Vector3d& baseline,
                                double max_error_px,
                                int stride) const {
-  const Pair& pair = pairs_[pair_index];
-  const SampsonPose pose =
-      PoseOf(R_cand_query, baseline, pair.query_weight, pair.cand_weight, max_error_px);
-  const SampsonSums sums =
-      ScoreBlocks(instruction_set_, pose, rays_.data() + pair.first_block * kBlockSize,
-                  pair.num_blocks, static_cast<size_t>(stride));
+  SampsonTask task = TaskOf(pair, R_cand_query, Eigen::Vector3d::Zero(), max_error_px);
+  Eigen::Map<Eigen::Vector3f>(task.b) = baseline.cast<float>();
+  const SampsonSums sums = ScoreBlocks(instruction_set_, &task, 1, static_cast<size_t>(stride));
   return {sums.gain, static_cast<int>(sums.num_inliers)};
 }
 
 RigScore RigSampson::Score(const Eigen::Isometry3d& T_cand_query,
                            double max_error_px,
                            int stride) const {
-  RigScore score;
-  for (size_t p = 0; p < pairs_.size(); ++p) {
-    const RigScore of_pair = ScorePair(p, T_cand_query.linear(), Baseline(pairs_[p], T_cand_query),
-                                       max_error_px, stride);
-    score.gain += of_pair.gain;
-    score.num_inliers += of_pair.num_inliers;
-  }
-  return score;
+  const std::vector<SampsonTask> tasks = Tasks(T_cand_query, max_error_px);
+  const SampsonSums sums =
+      ScoreBlocks(instruction_set_, tasks.data(), tasks.size(), static_cast<size_t>(stride));
+  return {sums.gain, static_cast<int>(sums.num_inliers)};
 }
 
 std::vector<std::vector<int>> RigSampson::Inliers(const Eigen::Isometry3d& T_cand_query,
                                                   double max_error_px) const {
   std::vector<std::vector<int>> inliers(pairs_.size());
-  std::vector<int64_t> marks;
+  std::vector<int32_t> marks;
+  const std::vector<SampsonTask> tasks = Tasks(T_cand_query, max_error_px);
   for (size_t p = 0; p < pairs_.size(); ++p) {
     const Pair& pair = pairs_[p];
     marks.resize(pair.num_blocks * kLanes);
-    MarkInliers(instruction_set_,
-                PoseOf(T_cand_query.linear(), Baseline(pair, T_cand_query), pair.query_weight,
-                       pair.cand_weight, max_error_px),
-                rays_.data() + pair.first_block * kBlockSize, pair.num_blocks, marks.data());
+    MarkInliers(instruction_set_, tasks[p], marks.data());
     for (int i = 0; i < pair.num_matches; ++i) {
-      if (marks[static_cast<size_t>(i)] != 0) inliers[p].push_back(i);
+      const size_t n = static_cast<size_t>(i);
+      if (marks[n % pair.num_blocks * kLanes + n / pair.num_blocks] != 0) inliers[p].push_back(i);
     }
   }
   return inliers;
 }
 
+size_t RigSampson::NumSampled(int stride) const {
+  size_t num_matches = 0;
+  for (const Pair& pair : pairs_) {
+    for (size_t i = 0; i < pair.num_blocks; i += static_cast<size_t>(stride)) {
+      // Lanes that are filled: matches i, i + num_blocks, i + 2 num_blocks ...
+      const size_t rest = static_cast<size_t>(pair.num_matches) + pair.num_blocks - 1 - i;
+      num_matches += rest / pair.num_blocks;
+    }
+  }
+  return num_matches;
+}
+
 SampsonSystem RigSampson::Linearize(const Eigen::Isometry3d& T_cand_query,
                                     double max_error_px,
                                     int stride) const {
+  if (pairs_.empty()) return {};
+  const std::vector<SampsonTask> tasks = Tasks(T_cand_query, max_error_px);
+  const SampsonNormalSums sums =
+      LinearizeBlocks(instruction_set_, tasks.data(), tasks.size(), static_cast<size_t>(stride));
+  // The kernels' perturbation is the left one, R times the right one.
+  Matrix6d turn = Matrix6d::Zero();
+  turn.topLeftCorner<3, 3>() = turn.bottomRightCorner<3, 3>() = T_cand_query.linear();
   SampsonSystem system;
-  int num_matches = 0;
-  const Eigen::Matrix3d R = T_cand_query.linear();
-  for (const Pair& pair : pairs_) {
-    const Eigen::Vector3d b = Baseline(pair, T_cand_query);
-    const SampsonNormalSums sums = LinearizeBlocks(
-        instruction_set_, PoseOf(R, b, pair.query_weight, pair.cand_weight, max_error_px),
-        rays_.data() + pair.first_block * kBlockSize, pair.num_blocks, static_cast<size_t>(stride));
-    for (size_t i = 0; i < pair.num_blocks; i += static_cast<size_t>(stride)) {
-      num_matches +=
-          std::min(static_cast<int>(kLanes), pair.num_matches - static_cast<int>(i * kLanes));
-    }
-    // Right perturbation (theta, rho) of T_cand_query: the kernel's rotation is R theta, and b
-    // moves by R theta x R p_q + R rho.
-    Matrix6d chain = Matrix6d::Zero();
-    chain.topLeftCorner<3, 3>() = R;
-    chain.bottomLeftCorner<3, 3>() = -R * Hat(pair.query_centre);
-    chain.bottomRightCorner<3, 3>() = R;
-    system.JtJ += chain.transpose() * Symmetric(sums.JtJ) * chain;
-    system.Jte += chain.transpose() * Eigen::Map<const Vector6d>(sums.Jte);
-    system.cost += sums.cost;
-    system.num_inliers += static_cast<int>(sums.num_inliers);
-  }
-  system.cost += (num_matches - system.num_inliers) * max_error_px * max_error_px / 3.0;
+  system.JtJ = turn.transpose() * Symmetric(sums.JtJ) * turn;
+  system.Jte = turn.transpose() * Eigen::Map<const Vector6d>(sums.Jte);
+  system.num_inliers = static_cast<int>(sums.num_inliers);
+  const double num_outliers = static_cast<double>(NumSampled(stride)) - sums.num_inliers;
+  system.cost = sums.cost + num_outliers * max_error_px * max_error_px / 3.0;
   return system;
 }
 

@@ -84,27 +84,33 @@ void CheckLinks(const std::vector<TrackLink>& links) {
   }
 }
 
-// Smallest error first; equal ones in the order of their keypoints.
-void SortLinks(std::vector<TrackLink>& links) {
-  const auto key = [](const TrackLink& l) {
-    return std::make_tuple(l.error, l.a.camera, l.a.keypoint, l.b.camera, l.b.keypoint);
-  };
+// Positions of the links, smallest error first; equal ones in the order of their keypoints.
+std::vector<size_t> OrderLinks(std::vector<TrackLink>& links) {
   for (TrackLink& link : links) {
     if (link.b.camera < link.a.camera) std::swap(link.a, link.b);
     if (std::isnan(link.error)) link.error = std::numeric_limits<double>::infinity();
   }
-  std::sort(links.begin(), links.end(),
-            [&key](const TrackLink& x, const TrackLink& y) { return key(x) < key(y); });
+  std::vector<size_t> order(links.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::sort(order.begin(), order.end(), [&links](size_t i, size_t j) {
+    const TrackLink& x = links[i];
+    const TrackLink& y = links[j];
+    if (x.error != y.error) return x.error < y.error;
+    return std::tie(x.a.camera, x.a.keypoint, x.b.camera, x.b.keypoint) <
+           std::tie(y.a.camera, y.a.keypoint, y.b.camera, y.b.keypoint);
+  });
+  return order;
 }
 
 }  // namespace
 
 RigTracks MergeTracks(std::vector<TrackLink> links) {
   CheckLinks(links);
-  SortLinks(links);
+  const std::vector<size_t> order = OrderLinks(links);
   KeypointForest forest(links);
   std::vector<const TrackObservation*> observations(forest.NumNodes(), nullptr);
-  for (const TrackLink& link : links) {
+  for (const size_t n : order) {
+    const TrackLink& link = links[n];
     if (!forest.Unite(forest.Node(link.a), forest.Node(link.b))) continue;
     observations[static_cast<size_t>(forest.Node(link.a))] = &link.a;
     observations[static_cast<size_t>(forest.Node(link.b))] = &link.b;

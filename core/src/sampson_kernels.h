@@ -1,4 +1,4 @@
-// The inner loops of RigSampson on blocks of eight matches, one version per instruction set.
+// The inner loops of RigSampson on blocks of sixteen matches, one version per instruction set.
 #pragma once
 
 #include <cstddef>
@@ -8,16 +8,19 @@
 
 namespace covinz {
 
-inline constexpr size_t kLanes = 8;
+inline constexpr size_t kLanes = 16;
 inline constexpr size_t kBlockSize = 6 * kLanes;
 
-// A pose as seen by the matches of one pair; notation of RigSampson.
-struct SampsonPose {
-  double R[9];  // row-major
-  double b[3];
-  double query_weight, cand_weight;
-  double max_error2;  // [px^2]
-  double max_sine2;   // below, rays count as parallel
+// A pose as seen by the matches of one pair, and their blocks; notation of RigSampson.
+struct SampsonTask {
+  float R[9];  // row-major
+  float b[3];
+  float lever[3];  // R p_q
+  float query_weight, cand_weight;
+  float max_error2;  // [px^2]
+  float max_sine2;   // below, rays count as parallel
+  const float* blocks;
+  size_t num_blocks;
 };
 
 // Sums over the inliers of the blocks.
@@ -26,7 +29,8 @@ struct SampsonSums {
   double num_inliers;
 };
 
-// Of the rows J = d error / d (theta, b), where R moves to Exp(theta) R, with their weights.
+// Of the rows J = d error / d (theta, rho), where the pose moves to Exp(theta, rho) T_cand_query,
+// with their weights.
 struct SampsonNormalSums {
   double JtJ[21];  // upper triangle, row by row
   double Jte[6];
@@ -34,24 +38,19 @@ struct SampsonNormalSums {
   double num_inliers;
 };
 
-// Of every stride-th block.
+// Of every stride-th block of each task.
 SampsonSums ScoreBlocks(InstructionSet instruction_set,
-                        const SampsonPose& pose,
-                        const double* blocks,
-                        size_t num_blocks,
+                        const SampsonTask* tasks,
+                        size_t num_tasks,
                         size_t stride);
 
 // inliers[i] is 1 for an inlier, else 0; kLanes a block.
-void MarkInliers(InstructionSet instruction_set,
-                 const SampsonPose& pose,
-                 const double* blocks,
-                 size_t num_blocks,
-                 int64_t* inliers);
+void MarkInliers(InstructionSet instruction_set, const SampsonTask& task, int32_t* inliers);
 
+// All tasks must have the same max_error2.
 SampsonNormalSums LinearizeBlocks(InstructionSet instruction_set,
-                                  const SampsonPose& pose,
-                                  const double* blocks,
-                                  size_t num_blocks,
+                                  const SampsonTask* tasks,
+                                  size_t num_tasks,
                                   size_t stride);
 
 }  // namespace covinz

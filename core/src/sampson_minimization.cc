@@ -10,7 +10,8 @@ namespace {
 constexpr double kInitialDamping = 1e-4;
 constexpr double kLeastDamping = 1e-9;
 constexpr double kMostDamping = 1e4;
-constexpr double kConvergedStep = 1e-6;
+// A hundredth of the noise of a hypothesis, and above the rounding of the sums.
+constexpr double kConvergedStep = 1e-4;
 // Far from the optimum, and where the length of the loop is hardly observable, steps can be wild.
 constexpr double kLongestTurn = 0.2;
 constexpr double kLongestStep = 0.5;

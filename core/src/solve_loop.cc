@@ -6,6 +6,7 @@
 #include <Eigen/Cholesky>
 
 #include "covinz/random.h"
+#include "stage_clock.h"
 
 namespace covinz {
 namespace {
@@ -112,7 +113,8 @@ std::optional<LoopRejection> CheckPlausible(const LoopEstimate& loop, const Loop
   return std::nullopt;
 }
 
-LoopResult EstimateLoop(const LoopOptions& options, const Progress& progress) {
+LoopResult EstimateLoop(const LoopOptions& options, const Progress& progress, StageClock& clock) {
+  clock.Start("rig");
   const std::optional<RigRelativePose> pose =
       EstimateRigRelativePose(progress.rigs, options.rig, DeriveSeed(options.seed, kRigStream));
   const int num_inliers = pose ? pose->num_inliers : 0;
@@ -125,6 +127,7 @@ LoopResult EstimateLoop(const LoopOptions& options, const Progress& progress) {
   if (ratio > options.scale.max_common_centre_ratio) {
     return LoopRejection{"scale", std::nullopt, ratio, options.scale.max_common_centre_ratio};
   }
+  clock.Start("covariance");
   const RigCovariance sampled = SampleRigCovariance(progress.rigs, *pose, options.covariance,
                                                     DeriveSeed(options.seed, kCovarianceStream));
   if (sampled.num_samples < options.covariance.num_samples) {
@@ -135,6 +138,32 @@ LoopResult EstimateLoop(const LoopOptions& options, const Progress& progress) {
                           progress.num_matches, progress.num_pair_inliers, pose->num_iterations};
   if (std::optional<LoopRejection> rejection = CheckPlausible(loop, options)) return *rejection;
   return loop;
+}
+
+LoopResult Solve(const std::vector<RigCamera>& query,
+                 const std::vector<RigCamera>& cand,
+                 const LoopOptions& options,
+                 StageClock& clock) {
+  Progress progress;
+  for (const RigCamera& camera : query) {
+    camera.Check();
+    progress.rigs.T_query_cam.push_back(camera.T_rig_cam);
+  }
+  for (const RigCamera& camera : cand) {
+    camera.Check();
+    progress.rigs.T_cand_cam.push_back(camera.T_rig_cam);
+  }
+  const double baseline_m = LongestBaseline_m(progress.rigs);
+  if (baseline_m < options.min_baseline_m) {
+    return LoopRejection{"degenerate", std::nullopt, baseline_m, options.min_baseline_m};
+  }
+  clock.Start("matching");
+  if (std::optional<LoopRejection> rejection = MatchRigs(query, cand, options, progress)) {
+    return *rejection;
+  }
+  clock.Start("pairs");
+  if (std::optional<LoopRejection> rejection = FilterPairs(options, progress)) return *rejection;
+  return EstimateLoop(options, progress, clock);
 }
 
 }  // namespace
@@ -181,24 +210,10 @@ LoopResult SolveLoop(const std::vector<RigCamera>& query,
                      const LoopOptions& options) {
   options.Check();
   if (query.empty() || cand.empty()) throw std::invalid_argument("a rig needs a camera");
-  Progress progress;
-  for (const RigCamera& camera : query) {
-    camera.Check();
-    progress.rigs.T_query_cam.push_back(camera.T_rig_cam);
-  }
-  for (const RigCamera& camera : cand) {
-    camera.Check();
-    progress.rigs.T_cand_cam.push_back(camera.T_rig_cam);
-  }
-  const double baseline_m = LongestBaseline_m(progress.rigs);
-  if (baseline_m < options.min_baseline_m) {
-    return LoopRejection{"degenerate", std::nullopt, baseline_m, options.min_baseline_m};
-  }
-  if (std::optional<LoopRejection> rejection = MatchRigs(query, cand, options, progress)) {
-    return *rejection;
-  }
-  if (std::optional<LoopRejection> rejection = FilterPairs(options, progress)) return *rejection;
-  return EstimateLoop(options, progress);
+  StageClock clock;
+  LoopResult result = Solve(query, cand, options, clock);
+  std::visit([&clock](auto& value) { value.stage_ms = clock.Times(); }, result);
+  return result;
 }
 
 }  // namespace covinz

@@ -6,9 +6,6 @@
 
 namespace covinz {
 
-TfIdfIndex::TfIdfIndex(const Vocabulary& vocabulary)
-    : idf_(vocabulary.idf()), postings_(vocabulary.num_words()) {}
-
 std::vector<TfIdfIndex::WeightedWord> TfIdfIndex::BagOf(std::vector<uint32_t> words) const {
   std::sort(words.begin(), words.end());
   if (!words.empty() && words.back() >= idf_.size()) {

@@ -15,7 +15,8 @@ void Require(bool condition, const char* message) {
 }
 
 // Links the levels; nodes come level by level, so each one's children follow those of the last.
-std::vector<VocabularyNode> LinkNodes(const std::vector<uint8_t>& num_children) {
+std::vector<VocabularyNode> LinkNodes(const std::vector<uint8_t>& num_children,
+                                      uint32_t max_depth) {
   std::vector<VocabularyNode> nodes(num_children.size());
   std::vector<uint32_t> level(num_children.size(), 0);
   uint32_t next_child = 1;
@@ -30,7 +31,7 @@ std::vector<VocabularyNode> LinkNodes(const std::vector<uint8_t>& num_children) 
     }
     nodes[i].first_child = next_child;
     Require(num_children[i] <= nodes.size() - next_child, "a node has a child too many");
-    Require(level[i] < Vocabulary::kMaxDepth, "the tree is too deep");
+    Require(level[i] < max_depth, "the tree is too deep");
     for (uint32_t k = 0; k < num_children[i]; ++k) level[next_child++] = level[i] + 1;
   }
   return nodes;
@@ -38,13 +39,14 @@ std::vector<VocabularyNode> LinkNodes(const std::vector<uint8_t>& num_children) 
 
 }  // namespace
 
-Vocabulary::Vocabulary(std::vector<BinaryDescriptor> centroids,
-                       const std::vector<uint8_t>& num_children,
-                       std::vector<float> idf)
+template <typename Descriptor>
+BasicVocabulary<Descriptor>::BasicVocabulary(std::vector<Descriptor> centroids,
+                                             const std::vector<uint8_t>& num_children,
+                                             std::vector<float> idf)
     : centroids_(std::move(centroids)), idf_(std::move(idf)) {
   Require(!centroids_.empty() && centroids_.size() <= kMaxNodes, "number of nodes out of range");
   Require(centroids_.size() == num_children.size(), "number of nodes differs");
-  nodes_ = LinkNodes(num_children);
+  nodes_ = LinkNodes(num_children, kMaxDepth);
   const auto num_leaves = std::count(num_children.begin(), num_children.end(), uint8_t{0});
   Require(static_cast<size_t>(num_leaves) == idf_.size(), "number of words differs");
   for (const float weight : idf_) {
@@ -52,13 +54,15 @@ Vocabulary::Vocabulary(std::vector<BinaryDescriptor> centroids,
   }
 }
 
-std::vector<uint32_t> Vocabulary::Words(const std::vector<BinaryDescriptor>& descriptors) const {
+template <typename Descriptor>
+std::vector<uint32_t> BasicVocabulary<Descriptor>::Words(
+    const std::vector<Descriptor>& descriptors) const {
   std::vector<uint32_t> words;
   words.reserve(descriptors.size());
-  for (const BinaryDescriptor& descriptor : descriptors) {
+  for (const Descriptor& descriptor : descriptors) {
     const VocabularyNode* node = &nodes_.front();
     while (node->num_children > 0) {
-      const BinaryDescriptor* children = centroids_.data() + node->first_child;
+      const Descriptor* children = centroids_.data() + node->first_child;
       const size_t nearest = NearestDescriptor(descriptor, children, node->num_children);
       node = &nodes_[node->first_child + nearest];
     }
@@ -66,5 +70,17 @@ std::vector<uint32_t> Vocabulary::Words(const std::vector<BinaryDescriptor>& des
   }
   return words;
 }
+
+template <typename Descriptor>
+std::vector<Descriptor> BasicVocabulary<Descriptor>::WordCentroids() const {
+  std::vector<Descriptor> centroids;
+  for (size_t i = 0; i < nodes_.size(); ++i) {
+    if (nodes_[i].num_children == 0) centroids.push_back(centroids_[i]);
+  }
+  return centroids;
+}
+
+template class BasicVocabulary<BinaryDescriptor>;
+template class BasicVocabulary<ByteDescriptor>;
 
 }  // namespace covinz

@@ -3,6 +3,8 @@
 #include <array>
 #include <cstring>
 #include <stdexcept>
+#include <type_traits>
+#include <utility>
 
 #include "covinz/vocabulary.h"
 
@@ -10,9 +12,9 @@ namespace covinz {
 namespace {
 
 constexpr std::array<uint8_t, 8> kMagic = {'c', 'o', 'v', 'i', 'n', 'z', '-', 'v'};
-constexpr uint32_t kVersion = 1;
+constexpr uint32_t kBinary = 1;
+constexpr uint32_t kBytes = 2;
 constexpr size_t kHeaderBytes = kMagic.size() + 3 * sizeof(uint32_t);
-constexpr size_t kNodeBytes = kDescriptorBytes + 1;
 
 void Require(bool condition, const char* message) {
   if (!condition) throw std::invalid_argument(std::string("Vocabulary bytes: ") + message);
@@ -42,19 +44,28 @@ float FloatOf(uint32_t bits) {
   return value;
 }
 
+template <typename Descriptor>
+constexpr uint32_t kKind = std::is_same_v<Descriptor, BinaryDescriptor> ? kBinary : kBytes;
+
+void CheckKind(uint32_t kind, uint32_t expected) {
+  Require(kind == kBinary || kind == kBytes, "unknown version");
+  Require(kind == expected, kind == kBytes ? "of 128-byte descriptors" : "of 32-byte descriptors");
+}
+
 }  // namespace
 
-std::vector<uint8_t> Vocabulary::ToBytes() const {
+template <typename Descriptor>
+std::vector<uint8_t> BasicVocabulary<Descriptor>::ToBytes() const {
   std::vector<uint8_t> bytes(kMagic.begin(), kMagic.end());
   const auto append = [&bytes](uint32_t value) {
     const std::array<uint8_t, 4> encoded = LittleEndian(value);
     bytes.insert(bytes.end(), encoded.begin(), encoded.end());
   };
-  append(kVersion);
+  append(kKind<Descriptor>);
   append(static_cast<uint32_t>(nodes_.size()));
   append(num_words());
   const auto* centroids = reinterpret_cast<const uint8_t*>(centroids_.data());
-  bytes.insert(bytes.end(), centroids, centroids + kDescriptorBytes * centroids_.size());
+  bytes.insert(bytes.end(), centroids, centroids + sizeof(Descriptor) * centroids_.size());
   for (const VocabularyNode& node : nodes_) {
     bytes.push_back(static_cast<uint8_t>(node.num_children));
   }
@@ -62,25 +73,33 @@ std::vector<uint8_t> Vocabulary::ToBytes() const {
   return bytes;
 }
 
-Vocabulary Vocabulary::FromBytes(const uint8_t* bytes, size_t num_bytes) {
+template <typename Descriptor>
+BasicVocabulary<Descriptor> BasicVocabulary<Descriptor>::FromBytes(const uint8_t* bytes,
+                                                                   size_t num_bytes) {
   Require(num_bytes >= kHeaderBytes, "too short");
   Require(std::equal(kMagic.begin(), kMagic.end(), bytes), "not a vocabulary");
   const uint8_t* cursor = bytes + kMagic.size();
-  Require(FromLittleEndian(cursor) == kVersion, "unknown version");
+  CheckKind(FromLittleEndian(cursor), kKind<Descriptor>);
   const size_t num_nodes = FromLittleEndian(cursor + 4);
   const size_t num_words = FromLittleEndian(cursor + 8);
   // Both counts are 32 bits wide, so the expected length cannot overflow.
-  Require(num_bytes == kHeaderBytes + kNodeBytes * num_nodes + sizeof(float) * num_words,
-          "length differs from the header's counts");
+  Require(
+      num_bytes == kHeaderBytes + (sizeof(Descriptor) + 1) * num_nodes + sizeof(float) * num_words,
+      "length differs from the header's counts");
 
   cursor = bytes + kHeaderBytes;
-  std::vector<BinaryDescriptor> centroids = BinaryDescriptorsFromBytes(cursor, num_nodes);
-  cursor += kDescriptorBytes * num_nodes;
+  std::vector<Descriptor> centroids = DescriptorsFromBytes<Descriptor>(cursor, num_nodes);
+  cursor += sizeof(Descriptor) * num_nodes;
   const std::vector<uint8_t> num_children(cursor, cursor + num_nodes);
   cursor += num_nodes;
   std::vector<float> idf(num_words);
   for (size_t i = 0; i < num_words; ++i) idf[i] = FloatOf(FromLittleEndian(cursor + 4 * i));
-  return Vocabulary(std::move(centroids), num_children, std::move(idf));
+  return BasicVocabulary(std::move(centroids), num_children, std::move(idf));
 }
+
+template std::vector<uint8_t> BasicVocabulary<BinaryDescriptor>::ToBytes() const;
+template std::vector<uint8_t> BasicVocabulary<ByteDescriptor>::ToBytes() const;
+template Vocabulary Vocabulary::FromBytes(const uint8_t* bytes, size_t num_bytes);
+template ByteVocabulary ByteVocabulary::FromBytes(const uint8_t* bytes, size_t num_bytes);
 
 }  // namespace covinz

@@ -1,12 +1,14 @@
-// Hierarchical k-majority.
+// Hierarchical k-majority and k-means.
 #include "covinz/vocabulary_training.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 #include <random>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <utility>
 
 namespace covinz {
@@ -26,24 +28,70 @@ uint64_t DrawBelow(uint64_t n, std::mt19937_64& engine) {
   return value % n;
 }
 
+uint64_t SeedingWeight(const BinaryDescriptor& a, const BinaryDescriptor& b) {
+  const auto distance = static_cast<uint64_t>(HammingDistance(a, b));
+  return distance * distance;
+}
+
+uint64_t SeedingWeight(const ByteDescriptor& a, const ByteDescriptor& b) {
+  return static_cast<uint64_t>(SquaredDistance(a, b));
+}
+
+// The bitwise majority; a tie keeps the bit of the previous centroid.
+BinaryDescriptor Centre(const std::vector<BinaryDescriptor>& descriptors,
+                        const Indices& members,
+                        const BinaryDescriptor& previous) {
+  std::array<uint32_t, 256> ones{};
+  for (const uint32_t i : members) {
+    for (size_t bit = 0; bit < ones.size(); ++bit) {
+      ones[bit] += static_cast<uint32_t>(descriptors[i][bit / 64] >> (bit % 64)) & 1u;
+    }
+  }
+  BinaryDescriptor centre = previous;
+  for (size_t bit = 0; bit < ones.size(); ++bit) {
+    const uint64_t mask = uint64_t{1} << (bit % 64);
+    if (2 * size_t{ones[bit]} > members.size()) centre[bit / 64] |= mask;
+    if (2 * size_t{ones[bit]} < members.size()) centre[bit / 64] &= ~mask;
+  }
+  return centre;
+}
+
+// The mean, rounded; that of no members is the previous centroid.
+ByteDescriptor Centre(const std::vector<ByteDescriptor>& descriptors,
+                      const Indices& members,
+                      const ByteDescriptor& previous) {
+  if (members.empty()) return previous;
+  std::array<uint64_t, std::tuple_size_v<ByteDescriptor>> sums{};
+  for (const uint32_t i : members) {
+    for (size_t k = 0; k < sums.size(); ++k) sums[k] += descriptors[i][k];
+  }
+  ByteDescriptor centre;
+  for (size_t k = 0; k < sums.size(); ++k) {
+    centre[k] = static_cast<uint8_t>((2 * sums[k] + members.size()) / (2 * members.size()));
+  }
+  return centre;
+}
+
+template <typename Descriptor>
 class Clustering {
  public:
-  Clustering(const std::vector<BinaryDescriptor>& descriptors,
-             const VocabularyTrainingOptions& options)
+  Clustering(const std::vector<Descriptor>& descriptors, const VocabularyTrainingOptions& options)
       : descriptors_(descriptors), options_(options), engine_(options.seed) {}
 
   struct Cluster {
-    BinaryDescriptor centroid;
+    Descriptor centroid;
     Indices members;
   };
 
   // Clusters of the members, none empty; a single one if all members are equal.
   std::vector<Cluster> Split(const Indices& members) {
-    std::vector<BinaryDescriptor> centroids = Seed(members);
+    std::vector<Descriptor> centroids = Seed(members);
     std::vector<Indices> assigned = Assign(members, centroids);
     for (int i = 0; i < options_.max_num_iterations; ++i) {
-      std::vector<BinaryDescriptor> moved = centroids;
-      for (size_t k = 0; k < moved.size(); ++k) moved[k] = Majority(assigned[k], centroids[k]);
+      std::vector<Descriptor> moved = centroids;
+      for (size_t k = 0; k < moved.size(); ++k) {
+        moved[k] = Centre(descriptors_, assigned[k], centroids[k]);
+      }
       if (moved == centroids) break;
       centroids = std::move(moved);
       assigned = Assign(members, centroids);
@@ -57,9 +105,8 @@ class Clustering {
 
  private:
   // k-means++: each further centroid is a member drawn by its squared distance to the nearest.
-  std::vector<BinaryDescriptor> Seed(const Indices& members) {
-    std::vector<BinaryDescriptor> centroids = {
-        descriptors_[members[DrawBelow(members.size(), engine_)]]};
+  std::vector<Descriptor> Seed(const Indices& members) {
+    std::vector<Descriptor> centroids = {descriptors_[members[DrawBelow(members.size(), engine_)]]};
     std::vector<uint64_t> weights(members.size(), UINT64_MAX);
     while (centroids.size() < static_cast<size_t>(options_.branching)) {
       const uint64_t total = UpdateWeights(members, centroids.back(), weights);
@@ -73,20 +120,18 @@ class Clustering {
   }
 
   uint64_t UpdateWeights(const Indices& members,
-                         const BinaryDescriptor& centroid,
+                         const Descriptor& centroid,
                          std::vector<uint64_t>& weights) const {
     uint64_t total = 0;
     for (size_t i = 0; i < members.size(); ++i) {
-      const auto distance =
-          static_cast<uint64_t>(HammingDistance(descriptors_[members[i]], centroid));
-      weights[i] = std::min(weights[i], distance * distance);
+      weights[i] = std::min(weights[i], SeedingWeight(descriptors_[members[i]], centroid));
       total += weights[i];
     }
     return total;
   }
 
   std::vector<Indices> Assign(const Indices& members,
-                              const std::vector<BinaryDescriptor>& centroids) const {
+                              const std::vector<Descriptor>& centroids) const {
     std::vector<Indices> assigned(centroids.size());
     for (const uint32_t i : members) {
       assigned[NearestDescriptor(descriptors_[i], centroids.data(), centroids.size())].push_back(i);
@@ -94,47 +139,33 @@ class Clustering {
     return assigned;
   }
 
-  BinaryDescriptor Majority(const Indices& members, const BinaryDescriptor& previous) const {
-    std::array<uint32_t, 256> ones{};
-    for (const uint32_t i : members) {
-      for (size_t bit = 0; bit < ones.size(); ++bit) {
-        ones[bit] += static_cast<uint32_t>(descriptors_[i][bit / 64] >> (bit % 64)) & 1u;
-      }
-    }
-    BinaryDescriptor centroid = previous;
-    for (size_t bit = 0; bit < ones.size(); ++bit) {
-      const uint64_t mask = uint64_t{1} << (bit % 64);
-      if (2 * size_t{ones[bit]} > members.size()) centroid[bit / 64] |= mask;
-      if (2 * size_t{ones[bit]} < members.size()) centroid[bit / 64] &= ~mask;
-    }
-    return centroid;
-  }
-
-  const std::vector<BinaryDescriptor>& descriptors_;
+  const std::vector<Descriptor>& descriptors_;
   const VocabularyTrainingOptions options_;
   std::mt19937_64 engine_;
 };
 
+template <typename Descriptor>
 struct Tree {
-  std::vector<BinaryDescriptor> centroids;
+  std::vector<Descriptor> centroids;
   std::vector<uint8_t> num_children;
 };
 
 // Level by level, so that the children of a node are contiguous.
-Tree GrowTree(const std::vector<BinaryDescriptor>& descriptors,
-              const VocabularyTrainingOptions& options) {
-  Clustering clustering(descriptors, options);
+template <typename Descriptor>
+Tree<Descriptor> GrowTree(const std::vector<Descriptor>& descriptors,
+                          const VocabularyTrainingOptions& options) {
+  Clustering<Descriptor> clustering(descriptors, options);
   Indices all(descriptors.size());
   std::iota(all.begin(), all.end(), 0u);
-  Tree tree{{BinaryDescriptor{}}, {}};
+  Tree<Descriptor> tree{{Descriptor{}}, {}};
   std::vector<Indices> level = {std::move(all)};
   for (int depth = 0; depth < options.depth; ++depth) {
     std::vector<Indices> next_level;
     for (const Indices& members : level) {
-      std::vector<Clustering::Cluster> clusters = clustering.Split(members);
+      std::vector<typename Clustering<Descriptor>::Cluster> clusters = clustering.Split(members);
       if (clusters.size() == 1) clusters.clear();
       tree.num_children.push_back(static_cast<uint8_t>(clusters.size()));
-      for (Clustering::Cluster& cluster : clusters) {
+      for (auto& cluster : clusters) {
         tree.centroids.push_back(cluster.centroid);
         next_level.push_back(std::move(cluster.members));
       }
@@ -176,6 +207,22 @@ void CheckOffsets(const std::vector<int64_t>& image_offsets, size_t num_descript
           "image offsets do not ascend from 0 to the number of descriptors");
 }
 
+template <typename Descriptor>
+BasicVocabulary<Descriptor> Train(const std::vector<Descriptor>& descriptors,
+                                  const std::vector<int64_t>& image_offsets,
+                                  const VocabularyTrainingOptions& options) {
+  options.Check();
+  CheckOffsets(image_offsets, descriptors.size());
+  const Tree<Descriptor> tree = GrowTree(descriptors, options);
+  const auto num_words = static_cast<size_t>(
+      std::count(tree.num_children.begin(), tree.num_children.end(), uint8_t{0}));
+  const BasicVocabulary<Descriptor> unweighted(tree.centroids, tree.num_children,
+                                               std::vector<float>(num_words, 0.0f));
+  return BasicVocabulary<Descriptor>(
+      tree.centroids, tree.num_children,
+      InverseDocumentFrequencies(unweighted.Words(descriptors), image_offsets, num_words));
+}
+
 }  // namespace
 
 void VocabularyTrainingOptions::Check() const {
@@ -189,16 +236,13 @@ void VocabularyTrainingOptions::Check() const {
 Vocabulary TrainVocabulary(const std::vector<BinaryDescriptor>& descriptors,
                            const std::vector<int64_t>& image_offsets,
                            const VocabularyTrainingOptions& options) {
-  options.Check();
-  CheckOffsets(image_offsets, descriptors.size());
-  const Tree tree = GrowTree(descriptors, options);
-  const auto num_words = static_cast<size_t>(
-      std::count(tree.num_children.begin(), tree.num_children.end(), uint8_t{0}));
-  const Vocabulary unweighted(tree.centroids, tree.num_children,
-                              std::vector<float>(num_words, 0.0f));
-  return Vocabulary(
-      tree.centroids, tree.num_children,
-      InverseDocumentFrequencies(unweighted.Words(descriptors), image_offsets, num_words));
+  return Train(descriptors, image_offsets, options);
+}
+
+ByteVocabulary TrainVocabulary(const std::vector<ByteDescriptor>& descriptors,
+                               const std::vector<int64_t>& image_offsets,
+                               const VocabularyTrainingOptions& options) {
+  return Train(descriptors, image_offsets, options);
 }
 
 }  // namespace covinz

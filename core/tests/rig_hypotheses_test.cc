@@ -62,7 +62,7 @@ TEST(EstimateRigHypotheses, ExactWithoutNoise) {
     const RigProblem problem = MakeRigProblem(options);
     const auto hypotheses = EstimateRigHypotheses(problem.rigs, {}, seed);
     ASSERT_FALSE(hypotheses.empty());
-    EXPECT_LT(PoseError(problem.T_cand_query, hypotheses[0].T_cand_query).norm(), 1e-6);
+    EXPECT_LT(PoseError(problem.T_cand_query, hypotheses[0].T_cand_query).norm(), 1e-5);
     EXPECT_EQ(hypotheses[0].num_inliers, static_cast<int>(problem.rigs.NumMatches()));
     EXPECT_NEAR(hypotheses[0].cost, 0.0, 1e-6);
   }
@@ -121,11 +121,11 @@ TEST(EstimateRigHypotheses, BothOfTwoSolutionsAreFound) {
   }
 }
 
-// At 75 % outliers five points of one pair are rarely all right, four of any pairs more often.
+// At 82 % outliers five points of one pair are rarely all right, four of any pairs more often.
 TEST(EstimateRigHypotheses, VerticalsProposeWhereOutliersAreMany) {
   int without = 0, with = 0;
   for (uint64_t seed = 0; seed < 12; ++seed) {
-    const RigProblem problem = MakeRigProblem(Ordinary(seed, 0.75));
+    const RigProblem problem = MakeRigProblem(Ordinary(seed, 0.82));
     const auto found = [&](const RigHypothesisOptions& options) {
       return HasNear(EstimateRigHypotheses(problem.rigs, options, seed), problem.T_cand_query, 0.03,
                      0.15);
@@ -208,8 +208,9 @@ TEST(EstimateRigHypotheses, SwapGivesTheInverse) {
     const auto hypotheses = EstimateRigHypotheses(problem.rigs, {}, seed);
     const auto swapped = EstimateRigHypotheses(Swapped(problem.rigs), {}, seed);
     ASSERT_FALSE(hypotheses.empty() || swapped.empty());
+    // The optimisation stops at steps of 1e-4.
     EXPECT_LT(PoseError(hypotheses[0].T_cand_query, swapped[0].T_cand_query.inverse()).norm(),
-              1e-4);
+              1e-3);
   }
 }
 

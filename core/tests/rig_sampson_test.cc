@@ -72,7 +72,7 @@ TEST(RigSampson, InliersAreThoseOfTheScalarFunctions) {
     }
     const RigScore score = RigSampson(problem.rigs).Score(problem.T_cand_query, kMaxErrorPx);
     EXPECT_EQ(score.num_inliers, num_inliers);
-    EXPECT_NEAR(score.gain, gain, 1e-9 * gain);
+    EXPECT_NEAR(score.gain, gain, 1e-4 * gain);
   }
 }
 
@@ -86,13 +86,13 @@ TEST(RigSampson, GradientIsThatOfTheCost) {
     const double max_error_px = 15.0;
     const auto inliers = sampson.Inliers(T, max_error_px);
     const SampsonSystem system = sampson.Linearize(T, max_error_px);
-    EXPECT_NEAR(system.cost, Cost(problem.rigs, T, inliers, max_error_px), 1e-8 * system.cost);
+    EXPECT_NEAR(system.cost, Cost(problem.rigs, T, inliers, max_error_px), 1e-4 * system.cost);
     for (int k = 0; k < 6; ++k) {
       const Vector6d step = 1e-6 * Vector6d::Unit(k);
       const double numeric = (Cost(problem.rigs, T * ExpSE3(step), inliers, max_error_px) -
                               Cost(problem.rigs, T * ExpSE3(-step), inliers, max_error_px)) /
                              2e-6;
-      EXPECT_NEAR(2.0 * system.Jte[k], numeric, 1e-5 * system.Jte.norm());
+      EXPECT_NEAR(2.0 * system.Jte[k], numeric, 1e-4 * system.Jte.norm());
     }
   }
 }
@@ -127,8 +127,8 @@ TEST(RigSampson, JacobianIsThatOfTheError) {
       const Vector6d step = 1e-6 * Vector6d::Unit(k);
       J[k] = (error_px(step) - error_px(-step)) / 2e-6;
     }
-    EXPECT_TRUE(system.JtJ.isApprox(rest * rest * J * J.transpose(), 1e-5));
-    EXPECT_TRUE(system.Jte.isApprox(rest * rest * error * J, 1e-5));
+    EXPECT_TRUE(system.JtJ.isApprox(rest * rest * J * J.transpose(), 1e-3));
+    EXPECT_TRUE(system.Jte.isApprox(rest * rest * error * J, 1e-3));
   }
 }
 

@@ -7,6 +7,7 @@
 
 #include <gtest/gtest.h>
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 
 #include "refinement_problem.h"
 
@@ -82,6 +83,19 @@ void ExpectRejected(const LoopResult& result, const std::string& stage) {
   ASSERT_NE(rejection, nullptr) << "accepted instead of " << stage;
   EXPECT_EQ(rejection->stage, stage);
   EXPECT_TRUE(std::isfinite(rejection->count));
+}
+
+std::vector<std::string> StagesOf(const LoopResult& result) {
+  std::vector<std::string> names;
+  std::visit(
+      [&names](const auto& value) {
+        for (const StageTime& stage : value.stage_ms) {
+          EXPECT_GT(stage.ms, 0.0) << stage.name;
+          names.push_back(stage.name);
+        }
+      },
+      result);
+  return names;
 }
 
 TEST(SolveLoopFast, FindsTheLoop) {
@@ -220,6 +234,49 @@ TEST(SolveLoopFast, EveryLimitRejectsAtItsStage) {
   rejected_at("uncertainty", [](FastLoopOptions& o) { o.max_sigma_translation_m = 1e-5; });
   rejected_at("translation", [](FastLoopOptions& o) { o.max_translation_m = 0.01; });
   rejected_at("rotation", [](FastLoopOptions& o) { o.max_rotation_rad = 0.001; });
+}
+
+TEST(SolveLoopFast, TimesTheStagesThatItCameTo) {
+  const FastProblem problem = MakeFastProblem(Ordinary(5));
+  const auto stages = [&problem](auto change) {
+    FastLoopOptions options;
+    change(options);
+    return StagesOf(Solve(problem, options));
+  };
+  using Names = std::vector<std::string>;
+  EXPECT_EQ(stages([](FastLoopOptions&) {}),
+            (Names{"matching", "hypotheses", "refinement", "covariance"}));
+  EXPECT_EQ(stages([](FastLoopOptions& o) { o.min_num_inliers = 1200; }),
+            (Names{"matching", "hypotheses", "refinement"}));
+  EXPECT_EQ(stages([](FastLoopOptions& o) { o.matching.max_distance = 1; }), Names{"matching"});
+}
+
+TEST(SolveLoopFast, EveryInstructionSetGivesTheSameLoop) {
+  for (uint64_t seed = 0; seed < 4; ++seed) {
+    RefinementProblemOptions problem_options = Ordinary(seed);
+    if (seed == 3) problem_options.outlier_share = 0.5;
+    const FastProblem problem = MakeFastProblem(problem_options);
+    FastLoopOptions options;
+    options.seed = seed;
+    options.instruction_set = InstructionSet::kPortable;
+    const LoopEstimate portable = std::get<LoopEstimate>(Solve(problem, options));
+    for (const InstructionSet set : {InstructionSet::kNeon, InstructionSet::kSse42,
+                                     InstructionSet::kAvx2, InstructionSet::kAvx512}) {
+      options.instruction_set = set;
+      if (!IsSupported(set)) {
+        EXPECT_THROW(Solve(problem, options), std::invalid_argument);
+        continue;
+      }
+      const LoopEstimate loop = std::get<LoopEstimate>(Solve(problem, options));
+      EXPECT_LT(PoseError(portable.T_cand_query, loop.T_cand_query).norm(), 1e-6);
+      EXPECT_LT((portable.covariance - loop.covariance).cwiseAbs().maxCoeff(), 1e-6);
+      EXPECT_EQ(portable.num_inliers, loop.num_inliers);
+      // Same bits when asked again.
+      const LoopEstimate again = std::get<LoopEstimate>(Solve(problem, options));
+      EXPECT_EQ(again.T_cand_query.matrix(), loop.T_cand_query.matrix());
+      EXPECT_EQ(again.covariance, loop.covariance);
+    }
+  }
 }
 
 TEST(SolveLoopFast, DifferentPlacesShareNoMatches) {

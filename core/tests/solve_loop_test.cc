@@ -106,6 +106,12 @@ TEST(SolveLoop, FindsTheLoop) {
       EXPECT_GE(estimate->num_matches[p], estimate->num_pair_inliers[p]);
       EXPECT_GE(estimate->num_pair_inliers[p], 30);
     }
+    std::vector<std::string> stages;
+    for (const StageTime& stage : estimate->stage_ms) {
+      EXPECT_GT(stage.ms, 0.0) << stage.name;
+      stages.push_back(stage.name);
+    }
+    EXPECT_EQ(stages, (std::vector<std::string>{"matching", "pairs", "rig", "covariance"}));
   }
 }
 
@@ -214,6 +220,8 @@ TEST(SolveLoop, RejectionNamesThePair) {
   ExpectRejected(result, "pair_inliers");
   EXPECT_EQ(std::get<LoopRejection>(result).pair, 2);
   EXPECT_EQ(std::get<LoopRejection>(result).threshold, 30.0);
+  EXPECT_EQ(std::get<LoopRejection>(result).stage_ms.size(), 2u);
+  EXPECT_EQ(std::get<LoopRejection>(result).stage_ms.back().name, "pairs");
 }
 
 TEST(SolveLoop, EveryLimitRejectsAtItsStage) {

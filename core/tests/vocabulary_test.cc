@@ -73,7 +73,8 @@ TEST(Vocabulary, CentroidIsTheBitwiseMajority) {
                                                      Flipped(a, 100, 10), Flipped(b, 0, 10),
                                                      Flipped(b, 5, 10),   Flipped(b, 100, 10)};
   const std::vector<uint8_t> bytes = Train(descriptors, 2, 1).ToBytes();
-  const std::vector<BinaryDescriptor> centroids = BinaryDescriptorsFromBytes(&bytes[20], 3);
+  const std::vector<BinaryDescriptor> centroids =
+      DescriptorsFromBytes<BinaryDescriptor>(&bytes[20], 3);
   // Bits 5 to 9 are flipped in two of three.
   const std::set<BinaryDescriptor> expected = {Flipped(a, 5, 5), Flipped(b, 5, 5)};
   EXPECT_EQ((std::set<BinaryDescriptor>{centroids[1], centroids[2]}), expected);
@@ -84,7 +85,7 @@ TEST(Vocabulary, GreedyDescentAgreesWithFlatSearchOnOneLevel) {
   const Vocabulary vocabulary = Train(descriptors, 16, 1);
   const std::vector<uint8_t> bytes = vocabulary.ToBytes();
   const std::vector<BinaryDescriptor> centroids =
-      BinaryDescriptorsFromBytes(&bytes[20], vocabulary.num_words() + 1);
+      DescriptorsFromBytes<BinaryDescriptor>(&bytes[20], vocabulary.num_words() + 1);
   std::mt19937_64 engine(4);
   for (int i = 0; i < 200; ++i) {
     const BinaryDescriptor query = RandomDescriptor(engine);
@@ -141,7 +142,8 @@ TEST(Vocabulary, SameSeedSameBits) {
 TEST(Vocabulary, TrainingRejectsMalformedInput) {
   const std::vector<BinaryDescriptor> two(2);
   const VocabularyTrainingOptions good;
-  EXPECT_THROW(TrainVocabulary({}, {0, 0}, good), std::invalid_argument);
+  EXPECT_THROW(TrainVocabulary(std::vector<BinaryDescriptor>{}, {0, 0}, good),
+               std::invalid_argument);
   EXPECT_THROW(TrainVocabulary(two, {}, good), std::invalid_argument);
   EXPECT_THROW(TrainVocabulary(two, {0}, good), std::invalid_argument);
   EXPECT_THROW(TrainVocabulary(two, {0, 1}, good), std::invalid_argument);
@@ -222,7 +224,7 @@ TEST_F(VocabularyBytes, MalformedTreesAreRejected) {
   expect("single child", [&](auto& bytes) { bytes[children_] = 1; });
   expect("no parent", [&](auto& bytes) { bytes[children_] = 0; });
   expect("number of words", [&](auto& bytes) { bytes[children_] = 2, bytes[children_ + 2] = 2; });
-  expect("unknown version", [&](auto& bytes) { bytes[8] = 2; });
+  expect("unknown version", [&](auto& bytes) { bytes[8] = 3; });
   expect("not a vocabulary", [&](auto& bytes) { bytes[0] = 'C'; });
   // -1, then NaN, as float32.
   expect("idf", [&](auto& bytes) { bytes[idf_ + 2] = 0x80, bytes[idf_ + 3] = 0xbf; });

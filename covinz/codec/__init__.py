@@ -149,7 +149,7 @@ def schema_name(payload: bytes) -> str:
 
 def without_features(kf: Keyframe) -> Keyframe:
     """The keyframe as the log's ``pose`` view shows it: no features, no thumbnail."""
-    return dataclasses.replace(kf, features=None, thumbnail_jpeg=None)
+    return dataclasses.replace(kf, features=None, thumbnail_jpeg=None, more_features=())
 
 
 def _one_of(payload: bytes, first: type[T], second: type[U]) -> T | U:

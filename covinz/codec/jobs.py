@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
+
+from numpy.typing import ArrayLike, NDArray
 
 from covinz.codec import poses, values
 from covinz.codec.reader import Fields
@@ -32,19 +34,29 @@ def _member_fields(member: RigMember) -> Fields:
         "keyframe": values.keyframe_id_fields(member.keyframe),
         "pose_odom_body": tuple(poses.pose_values(member.T_odom_body, "T_odom_body")),
         "camera_hash": values.text(member.camera_hash, "camera_hash", values.CAMERA_HASH),
+        "motion_covariance": _motion_covariance(member.motion_covariance),
     }
+
+
+def _motion_covariance(covariance: ArrayLike | None) -> NDArray[Any] | None:
+    if covariance is None:
+        return None
+    return values.covariance(covariance, "motion_covariance", definite=True)
 
 
 def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
     if not members:
         raise ValueError("a rig is empty")
-    return tuple(
-        RigMember(
-            values.keyframe_id(member["keyframe"]),
-            poses.transforms(member["pose_odom_body"], "T_odom_body"),
-            values.text(member["camera_hash"], "camera_hash", values.CAMERA_HASH),
-        )
-        for member in members
+    return tuple(_member(member) for member in members)
+
+
+def _member(fields: Fields) -> RigMember:
+    covariance = _motion_covariance(fields["motion_covariance"])
+    return RigMember(
+        values.keyframe_id(fields["keyframe"]),
+        poses.transforms(fields["pose_odom_body"], "T_odom_body"),
+        values.text(fields["camera_hash"], "camera_hash", values.CAMERA_HASH),
+        None if covariance is None else covariance.reshape(6, 6),
     )
 
 

@@ -77,6 +77,7 @@ def keyframe_fields(kf: Keyframe) -> Fields:
         "covariance": _odometry_covariance(kf.covariance),
         "gravity_body": _gravity(kf.gravity_body),
         "thumbnail_jpeg": kf.thumbnail_jpeg,
+        "more_features": [_features_fields(block) for block in kf.more_features] or None,
     }
 
 
@@ -93,6 +94,7 @@ def keyframe(fields: Fields) -> Keyframe:
         covariance=None if covariance is None else covariance.reshape(6, 6),
         gravity_body=_gravity(fields["gravity_body"]),
         thumbnail_jpeg=None if thumbnail is None else thumbnail.tobytes(),
+        more_features=tuple(_features(block) for block in fields["more_features"] or ()),
     )
 
 

@@ -41,6 +41,8 @@ def _bulk(fields: Fields) -> int:
             total += len(value)
         elif isinstance(value, dict):
             total += _bulk(value)
+        elif isinstance(value, list):
+            total += sum(_bulk(item) for item in value if isinstance(item, dict))
     return total
 
 

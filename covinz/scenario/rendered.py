@@ -110,6 +110,8 @@ class RenderedAgent(Section):
     camera: CalibrationFile = WIDE_LENS
     sensor: Sensor = Sensor()
     odometry: Odometry = DriftingGroundTruth(source="groundtruth_drift")
+    # The robot measures gravity with this error, per axis; null: it does not. [rad]
+    gravity_sigma_rad: NonNegative | None = None
     # Images per second from which keyframes are chosen; only those are rendered. [Hz]
     frame_rate_hz: Positive = 10.0
     # An image between two poses of a file further apart than this is left out. [s]

@@ -10,14 +10,27 @@ from covinz.types.identity import Array, KeyframeId, frozen_array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigMember:
-    """One camera of a rig: a keyframe, its odometry pose and its calibration."""
+    """One camera of a rig.
+
+    Attributes:
+        keyframe: Its keyframe.
+        T_odom_body: (4, 4) odometry pose of the keyframe.
+        camera_hash: Its calibration.
+        motion_covariance: (6, 6) of odometry's motion to this keyframe from the rig's previous one
+            in order of time: right perturbation [rotation (rad), translation (m)], in this body
+            frame. None for the earliest, and where nobody said.
+    """
 
     keyframe: KeyframeId
     T_odom_body: Array
     camera_hash: str
+    motion_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_odom_body", frozen_array(self.T_odom_body, (4, 4)))
+        if self.motion_covariance is not None:
+            covariance = frozen_array(self.motion_covariance, (6, 6))
+            object.__setattr__(self, "motion_covariance", covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +38,7 @@ class LoopJob:
     """A candidate pair to verify; self-contained and fixed when it is created.
 
     Attributes:
-        id: 32 hex digits: hash of query, candidate, solver configuration and vocabulary.
+        id: 32 hex digits: hash of query, candidate, configuration (solver, rigs) and vocabulary.
         query_rig: S_q of the paper; the first member is the query keyframe.
         cand_rig: S_c of the paper; the first member is the candidate keyframe.
         score: Place-recognition score of the candidate.

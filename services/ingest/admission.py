@@ -27,7 +27,7 @@ class Code(enum.StrEnum):
     FOREIGN_AGENT = "foreign_agent"  # the message names another agent than its key
     BAD_SEQ = "bad_seq"  # a sequence number above MAX_SEQ
     NO_FEATURES = "no_features"  # without the block of features; an empty block is fine
-    TOO_MANY_FEATURES = "too_many_features"  # more than `ingest.max_features`
+    TOO_MANY_FEATURES = "too_many_features"  # more than `ingest.max_features` in all
     KEYPOINT_OUTSIDE = "keypoint_outside"  # a keypoint outside the image of its camera
     TOO_MANY_CAMERAS = "too_many_cameras"  # more than `ingest.max_cameras_per_agent`
     LONG_REASON = "long_reason"  # a gap whose reason has more than MAX_REASON characters
@@ -120,13 +120,15 @@ def _check_features(
 ) -> NeedCamera | Rejected | None:
     if kf.features is None:
         return rejected(Code.NO_FEATURES, "a keyframe is uploaded with its features")
-    if len(kf.features) > config.max_features:
-        limit = config.max_features
-        return rejected(Code.TOO_MANY_FEATURES, f"{len(kf.features)} features of at most {limit}")
+    count = sum(len(block) for block in kf.all_features)
+    if count > config.max_features:
+        return rejected(
+            Code.TOO_MANY_FEATURES, f"{count} features of at most {config.max_features}"
+        )
     camera = cameras.get(kf.camera_hash)
     if camera is None:
         return NeedCamera(kf.camera_hash)
-    if not _inside(kf.features, camera):
+    if not all(_inside(block, camera) for block in kf.all_features):
         size = f"{camera.width} x {camera.height} pixels"
         return rejected(Code.KEYPOINT_OUTSIDE, f"a keypoint is outside of {size}")
     return None

@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 from covinz import codec
 from covinz.durable import DurableFile, DurableFileError, FileKind
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import Camera, Duplicate, Gap, Keyframe, Rejected, Stored
 from covinz.ulid import new_ulid
 from services.ingest.admission import AdmittedCamera, AdmittedUpload, Code
@@ -63,13 +64,17 @@ class KeyframeLog:
     Args:
         path: SQLite file; made when it is not there, with a new identity.
         busy_timeout_s: How long a commit waits for another connection before it fails.
+        machine: Clock and chance, for the identity.
 
     Raises:
         DurableFileError: If the file is in use, damaged, or of another kind or version.
     """
 
-    def __init__(self, path: Path, busy_timeout_s: float = 5.0) -> None:
+    def __init__(
+        self, path: Path, busy_timeout_s: float = 5.0, machine: Machine = THIS_MACHINE
+    ) -> None:
         self._file = DurableFile(path, LOG_FILE, busy_timeout_s)
+        self._machine = machine
         try:
             self.log_id = self._identity()
             self._head = _count(self._file.db)
@@ -134,7 +139,7 @@ class KeyframeLog:
         with self._file.transaction() as db:
             row = db.execute("SELECT log_id FROM identity").fetchone()
             if row is None:
-                row = (new_ulid(),)
+                row = (new_ulid(self._machine),)
                 db.execute("INSERT INTO identity VALUES (?)", row)
         return str(row[0])
 

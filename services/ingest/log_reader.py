@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import logging
-import queue
 import sqlite3
-import threading
+from collections import deque
 from pathlib import Path
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.durable import open_reader
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import KeyframeId, LogRange, LogView
 
 logger = logging.getLogger(__name__)
@@ -91,10 +91,12 @@ class LogReads:
     or that comes when too many wait, gets no answer at all.
     """
 
-    def __init__(self, bus: Bus, reader: LogReader) -> None:
+    def __init__(self, bus: Bus, reader: LogReader, machine: Machine = THIS_MACHINE) -> None:
         self._reader = reader
-        self._waiting: queue.Queue[Query | None] = queue.Queue(_MAX_WAITING)
-        self._thread = threading.Thread(target=self._run, name="log-reads")
+        self._changed = machine.condition()  # guards what follows
+        self._waiting: deque[Query] = deque()
+        self._closing = False
+        self._thread = machine.thread(self._run, "log-reads")
         self._thread.start()
         keys = (keyexprs.LOG_RANGE, keyexprs.KEYFRAMES, keyexprs.CAMERAS)
         self._declared = [bus.answer(key, self._on_query) for key in keys]
@@ -103,17 +105,26 @@ class LogReads:
         """Answer what waits, then stop."""
         for declared in self._declared:
             declared.close()
-        self._waiting.put(None)
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
         self._thread.join()
 
     def _on_query(self, query: Query) -> None:
-        try:
-            self._waiting.put_nowait(query)
-        except queue.Full:
-            query.drop()
+        with self._changed:
+            if len(self._waiting) < _MAX_WAITING:
+                self._waiting.append(query)
+                self._changed.notify_all()
+                return
+        query.drop()
+
+    def _next(self) -> Query | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._closing or self._waiting)
+            return self._waiting.popleft() if self._waiting else None
 
     def _run(self) -> None:
-        while (query := self._waiting.get()) is not None:
+        while (query := self._next()) is not None:
             try:
                 query.reply(self._answer(query) or b"")
             except (ValueError, sqlite3.Error) as error:

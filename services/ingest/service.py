@@ -50,9 +50,9 @@ def run(context: Context) -> None:
     path = context.data_dir / "ingest.sqlite"
     intake = Intake(context.inbox, config)
     with ExitStack() as stack:
-        log = stack.enter_context(closing(KeyframeLog(path)))
+        log = stack.enter_context(closing(KeyframeLog(path, machine=context.machine)))
         reader = stack.enter_context(closing(LogReader(path, config.page_bytes)))
-        stack.enter_context(closing(LogReads(context.bus, reader)))
+        stack.enter_context(closing(LogReads(context.bus, reader, context.machine)))
         ingest = Ingest(log, intake, context.bus, config, context.instance)
         for key, callback in (
             (keyexprs.AGENT_KEYFRAMES, intake.on_keyframe),

@@ -12,14 +12,16 @@ import numpy as np
 
 from covinz import frames
 from covinz.keyframes import KeyframeStore
-from covinz.types import RigMember
+from covinz.types import FeatureType, RigMember
 
 
 class BadRig(ValueError):
     """A rig that cannot be formed from what its keyframes contain."""
 
 
-def build_rig(members: Sequence[RigMember], store: KeyframeStore) -> list[covinz_core.RigCamera]:
+def build_rig(
+    members: Sequence[RigMember], store: KeyframeStore, kind: FeatureType
+) -> list[covinz_core.RigCamera]:
     """The cameras of a rig in the body frame of its first member.
 
     ``T_rig_cam = inv(T_odom_body(first)) @ T_odom_body(member) @ T_body_cam``.
@@ -27,22 +29,23 @@ def build_rig(members: Sequence[RigMember], store: KeyframeStore) -> list[covinz
     Args:
         members: Keyframes of one session, with the poses that the job was made with.
         store: Where features and calibrations come from.
+        kind: Which of their features to use.
 
     Raises:
         KeyframeNotFound, CameraNotFound, StoreUnavailable: From the store.
-        BadRig: If a keyframe has no features.
+        BadRig: If a keyframe has no features of that kind.
         ValueError: If a calibration or an array is not what the core accepts.
     """
     T_rig_odom = frames.inverse(members[0].T_odom_body)
-    return [_camera(member, T_rig_odom @ member.T_odom_body, store) for member in members]
+    return [_camera(member, T_rig_odom @ member.T_odom_body, store, kind) for member in members]
 
 
 def _camera(
-    member: RigMember, T_rig_body: frames.Array, store: KeyframeStore
+    member: RigMember, T_rig_body: frames.Array, store: KeyframeStore, kind: FeatureType
 ) -> covinz_core.RigCamera:
-    features = store.keyframe(member.keyframe).features
+    features = store.keyframe(member.keyframe).features_of(kind)
     if features is None:
-        raise BadRig(f"keyframe {member.keyframe} has no features")
+        raise BadRig(f"keyframe {member.keyframe} has no {kind.name} features")
     camera = store.camera(member.camera_hash)
     bearings = covinz_core.bearing_vectors(
         camera.model, camera.params.tolist(), features.keypoints_px.astype(np.float64)

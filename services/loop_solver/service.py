@@ -27,12 +27,13 @@ def run(context: Context) -> None:
     store = RemoteKeyframeStore(context.bus, config.worker.cache_keyframes)
     worker = Worker(
         # A process that is started again must not be taken for the one that died.
-        worker=f"{context.instance}-{new_ulid()}",
+        worker=f"{context.instance}-{new_ulid(context.machine)}",
         bus=context.bus,
         solve=LoopSolver(config.loop_solver, store).solve,
         config=config.worker,
         lease_timeout_s=config.place_recognition.long_poll_s + config.bus.query_timeout_s,
         on_failure=lambda error: context.inbox.put_always(WorkerFailed(error)),
+        machine=context.machine,
     )
     with ExitStack() as stack:
         stack.callback(worker.stop)

@@ -15,9 +15,19 @@ import numpy as np
 from covinz import frames
 from covinz.config import LoopSolverConfig
 from covinz.keyframes import CameraNotFound, KeyframeNotFound, KeyframeStore
-from covinz.types import LoopClosure, LoopJob, LoopSolution, MotionResidual, Outcome, Rejection
+from covinz.types import (
+    FeatureType,
+    LoopClosure,
+    LoopJob,
+    LoopSolution,
+    MotionResidual,
+    Outcome,
+    Rejection,
+)
+from services.loop_solver.kinds import NoSharedKind, shared_kind
 from services.loop_solver.motions import consecutive, rig_motions
 from services.loop_solver.rig import build_rig
+from services.loop_solver.verticals import verticals
 
 Result = covinz_core.LoopEstimate | covinz_core.LoopRejection
 
@@ -53,6 +63,8 @@ class LoopSolver:
             return _rejection(job, "keyframe_missing", str(error))
         except CameraNotFound as error:
             return _rejection(job, "camera_missing", str(error))
+        except NoSharedKind as error:
+            return _rejection(job, "feature_kind", str(error))
         except ValueError as error:
             return _rejection(job, "error", str(error))
         start_s = self._clock_s()
@@ -68,24 +80,31 @@ class LoopSolver:
 
         Raises:
             KeyframeNotFound, CameraNotFound, StoreUnavailable: From the store.
+            NoSharedKind: If the sides share no kind of feature.
             ValueError: If the rigs cannot be formed of what the keyframes contain.
         """
         config, store = self._config, self._store
-        query, cand = build_rig(job.query_rig, store), build_rig(job.cand_rig, store)
+        kind = shared_kind(job, store, config.kinds)
+        query = build_rig(job.query_rig, store, kind)
+        cand = build_rig(job.cand_rig, store, kind)
         if config.profile == "paper":
-            options = loop_options(config, job.seed)
+            options = loop_options(config, job.seed, kind)
             return lambda: covinz_core.solve_loop(query, cand, options)
         noise = config.fast.odometry
         query_rig = covinz_core.LoopRig(query, rig_motions(job.query_rig, store, noise))
         cand_rig = covinz_core.LoopRig(cand, rig_motions(job.cand_rig, store, noise))
-        fast_options = fast_loop_options(config, job.seed)
+        fast_options = fast_loop_options(config, job.seed, kind)
+        if config.fast.use_verticals:
+            fast_options.hypotheses.verticals = verticals(job, store)
         return lambda: covinz_core.solve_loop_fast(query_rig, cand_rig, fast_options)
 
 
-def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions:
-    """The core's options for one job of profile `paper`."""
+def loop_options(
+    config: LoopSolverConfig, seed: int, kind: FeatureType = FeatureType.ORB
+) -> covinz_core.LoopOptions:
+    """The core's options for one job of profile `paper` over features of one kind."""
     options = covinz_core.LoopOptions()
-    _set_matching(options.matching, config)
+    _set_matching(options.matching, config, kind)
     for stage in (options.pair, options.rig, options.scale):
         stage.max_error_px = config.max_error_px
     options.pair.confidence = options.rig.confidence = config.confidence
@@ -109,11 +128,13 @@ def loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.LoopOptions
     return options
 
 
-def fast_loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.FastLoopOptions:
-    """The core's options for one job of profile `fast`."""
+def fast_loop_options(
+    config: LoopSolverConfig, seed: int, kind: FeatureType = FeatureType.ORB
+) -> covinz_core.FastLoopOptions:
+    """The core's options for one job of profile `fast` over features of one kind."""
     fast = config.fast
     options = covinz_core.FastLoopOptions()
-    _set_matching(options.matching, config)
+    _set_matching(options.matching, config, kind)
     options.hypotheses.max_error_px = fast.max_error_px
     options.hypotheses.confidence = fast.confidence
     options.hypotheses.max_num_iterations = fast.max_iterations
@@ -130,11 +151,18 @@ def fast_loop_options(config: LoopSolverConfig, seed: int) -> covinz_core.FastLo
     return options
 
 
-def _set_matching(options: covinz_core.MatchingOptions, config: LoopSolverConfig) -> None:
-    options.norm = covinz_core.DescriptorNorm.HAMMING
-    options.max_ratio = config.matching.max_ratio
-    options.max_distance = config.matching.max_hamming
-    options.mutual = config.matching.mutual
+def _set_matching(
+    options: covinz_core.MatchingOptions, config: LoopSolverConfig, kind: FeatureType
+) -> None:
+    matching = config.matching
+    if kind is FeatureType.SIFT:
+        options.norm = covinz_core.DescriptorNorm.L2
+        options.max_distance = matching.max_sift_distance
+    else:
+        options.norm = covinz_core.DescriptorNorm.HAMMING
+        options.max_distance = matching.max_hamming
+    options.max_ratio = matching.max_ratio
+    options.mutual = matching.mutual
 
 
 def _outcome(job: LoopJob, result: Result, solver_ms: float) -> Outcome:

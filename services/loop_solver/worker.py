@@ -10,8 +10,6 @@ Source: docs/architecture.md; decision 0006 (pull with leases).
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 
@@ -20,6 +18,7 @@ from covinz.bus import Bus, BusClosed
 from covinz.codec import MalformedMessage
 from covinz.config import WorkerConfig
 from covinz.keyframes import StoreUnavailable
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import (
     JobDone,
     Lease,
@@ -49,6 +48,7 @@ class Worker:
         config: Back-off.
         lease_timeout_s: How long a request for a job may stay open.
         on_failure: Called from the thread with the error that ended it.
+        machine: Clock and thread.
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class Worker:
         config: WorkerConfig,
         lease_timeout_s: float,
         on_failure: Callable[[BaseException], object],
+        machine: Machine = THIS_MACHINE,
     ) -> None:
         self._worker = worker
         self._bus = bus
@@ -66,17 +67,18 @@ class Worker:
         self._config = config
         self._lease_timeout_s = lease_timeout_s
         self._on_failure = on_failure
+        self._clock_s = machine.monotonic_s
         self._stopping = False
         # Ends a pause early: the process stops, or somebody who was away is back.
-        self._news = threading.Event()
+        self._news = machine.event()
         # Guards `_asking`, so that stop() and a lease that arrives agree on who was first.
-        self._lock = threading.Lock()
+        self._lock = machine.lock()
         self._asking = False
         self._busy = False
         self._declared = [bus.declare_alive(keyexprs.worker_alive(worker))]
         for key in (keyexprs.JOB_LEASE, keyexprs.JOB_DONE, keyexprs.LOOP):
             self._declared.append(bus.watch_answered(key, self._on_answered))
-        self._thread = threading.Thread(target=self._run, name="worker")
+        self._thread = machine.thread(self._run, "worker")
         self.counters: Counter[str] = Counter()
 
     @property
@@ -116,13 +118,13 @@ class Worker:
     def _pull(self) -> None:
         pauses = self._pauses_s()
         while not self._stopping:
-            asked_s = time.monotonic()
+            asked_s = self._clock_s()
             lease = self._lease()
             if lease is not None:
                 self._busy = True
                 self._work(lease.job)
                 self._busy = False
-            elif time.monotonic() - asked_s < PROMPT_S:
+            elif self._clock_s() - asked_s < PROMPT_S:
                 self._pause(next(pauses))
                 continue
             pauses = self._pauses_s()

@@ -66,13 +66,21 @@ def run(context: Context) -> None:
         DurableFileError: If the store cannot be used.
         StoreUnavailable: If an optimisation cannot be made durable.
     """
-    config = context.config.optimizer
+    config, machine, deliver = context.config.optimizer, context.machine, context.inbox.put
     with ExitStack() as stack:
         store = stack.enter_context(closing(LoopStore(context.data_dir / "optimizer.sqlite")))
-        thread = stack.enter_context(closing(OptimisationThread(config, context.inbox.put)))
-        optimizer = Optimizer(store, context.bus, config, thread.submit, context.instance)
+        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine)))
+        optimizer = Optimizer(
+            store,
+            context.bus,
+            config,
+            thread.submit,
+            context.instance,
+            machine.monotonic_s,
+            machine.now_ns,
+        )
         stack.enter_context(open_doors(context.bus, context.inbox))
-        follower = LogFollower(context.bus, LogView.POSE, context.inbox.put)
+        follower = LogFollower(context.bus, LogView.POSE, deliver, machine=machine)
         stack.enter_context(closing(follower))
         # Keyframes are kept in memory only, so the log is always read from its beginning.
         follower.start(0, "")

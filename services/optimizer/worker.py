@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 from covinz.config import OptimizerConfig
+from covinz.machine import THIS_MACHINE, Machine
 from services.optimizer.components import Component
 from services.optimizer.optimisation import Fault, MapEstimate, Optimise, find_fault, optimise
 
@@ -55,24 +56,50 @@ def run_job(
 
 
 class OptimisationThread:
-    """Runs jobs one after the other and reports each to `deliver`, from its own thread."""
+    """Runs jobs one after the other and reports each to `deliver`, from its own thread.
 
-    def __init__(self, config: OptimizerConfig, deliver: Callable[[object], object]) -> None:
+    Args:
+        config: Section `optimizer`.
+        deliver: Gets the Optimised or OptimisationCrashed of every job.
+        machine: For the thread.
+    """
+
+    def __init__(
+        self,
+        config: OptimizerConfig,
+        deliver: Callable[[object], object],
+        machine: Machine = THIS_MACHINE,
+    ) -> None:
         self._config = config
         self._deliver = deliver
-        self._pool = ThreadPoolExecutor(max_workers=1, thread_name_prefix="optimise")
+        self._changed = machine.condition()  # guards what follows
+        self._jobs: deque[tuple[tuple[Component, ...], int]] = deque()
+        self._closing = False
+        self._thread = machine.thread(self._run, "optimise")
+        self._thread.start()
 
     def submit(self, components: tuple[Component, ...], epoch: int) -> None:
-        """Queue a job; `deliver` gets its Optimised or OptimisationCrashed."""
-        future = self._pool.submit(run_job, components, epoch, self._config)
-        future.add_done_callback(self._report)
+        """Queue a job."""
+        with self._changed:
+            self._jobs.append((components, epoch))
+            self._changed.notify_all()
 
     def close(self) -> None:
-        """Wait for the job that runs."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        """Wait for the job that runs; those that wait are forgotten."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
 
-    def _report(self, future: Future[Optimised]) -> None:
-        if future.cancelled():
-            return
-        error = future.exception()
-        self._deliver(future.result() if error is None else OptimisationCrashed(error))
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closing or self._jobs)
+                if self._closing:
+                    return
+                components, epoch = self._jobs.popleft()
+            try:
+                result: object = run_job(components, epoch, self._config)
+            except BaseException as error:
+                result = OptimisationCrashed(error)
+            self._deliver(result)

@@ -1,4 +1,4 @@
-"""The image index: binary words of a vocabulary, ranked by verified votes or by tf-idf."""
+"""Index of one kind of feature: words of a vocabulary, ranked by verified votes or by tf-idf."""
 
 from __future__ import annotations
 
@@ -9,23 +9,25 @@ import covinz_core
 import numpy as np
 from numpy.typing import NDArray
 
-from covinz.config import ConfigError, PlaceRecognitionConfig
+from covinz.config import ConfigError, FeatureKind, PlaceRecognitionConfig
 
 Words = NDArray[np.uint32]
 Descriptors = NDArray[np.uint8]
+
+CoreVocabulary = covinz_core.Vocabulary | covinz_core.ByteVocabulary
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 class Vocabulary(Protocol):
-    """Quantises descriptors; `covinz_core.Vocabulary` is one."""
+    """Quantises descriptors; `covinz_core.Vocabulary` and `ByteVocabulary` are."""
 
     @property
     def hash(self) -> str:
         """Identity of the content."""
 
     def words(self, descriptors: Descriptors) -> Words:
-        """The word (N,) of every descriptor (N, 32)."""
+        """The word (N,) of every descriptor (N, B)."""
 
 
 class PlaceIndex(Protocol):
@@ -41,11 +43,11 @@ class PlaceIndex(Protocol):
 class VoteIndex:
     """Verified votes: descriptors of one word vote for each other when they are alike.
 
-    Source: decision 0004.
+    Source: decisions 0004 (ORB) and 0022 (SIFT).
     """
 
-    def __init__(self, max_hamming: int) -> None:
-        self._index = covinz_core.InvertedIndex(max_hamming)
+    def __init__(self, index: covinz_core.InvertedIndex | covinz_core.ResidualIndex) -> None:
+        self._index = index
 
     def add(self, words: Words, descriptors: Descriptors) -> int:
         """Put a keyframe in and return its slot."""
@@ -64,7 +66,7 @@ class TfIdfIndex:
     sequences", T-RO 2012; COVINS-G III-B1.
     """
 
-    def __init__(self, vocabulary: covinz_core.Vocabulary) -> None:
+    def __init__(self, vocabulary: CoreVocabulary) -> None:
         self._index = covinz_core.TfIdfIndex(vocabulary)
 
     def add(self, words: Words, descriptors: Descriptors) -> int:
@@ -77,28 +79,41 @@ class TfIdfIndex:
         return scores
 
 
-def load_vocabulary(path: Path) -> covinz_core.Vocabulary:
-    """Read a vocabulary file; a relative path counts from the checkout.
+def load_vocabulary(config: PlaceRecognitionConfig, kind: FeatureKind) -> CoreVocabulary:
+    """Read the vocabulary of a kind; a relative path counts from the checkout.
 
     Raises:
-        ConfigError: If the file is missing or is no vocabulary.
+        ConfigError: If the file is missing or is no vocabulary of that kind.
     """
+    path = config.vocabulary if kind == "orb" else config.sift.vocabulary
+    of_kind = covinz_core.Vocabulary if kind == "orb" else covinz_core.ByteVocabulary
     try:
-        return covinz_core.Vocabulary.from_bytes((CHECKOUT / path).read_bytes())
+        return of_kind.from_bytes((CHECKOUT / path).read_bytes())
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot use the vocabulary {path}: {error}") from error
 
 
-def new_index(config: PlaceRecognitionConfig, vocabulary: covinz_core.Vocabulary) -> PlaceIndex:
-    """An empty index that scores as configured.
+def min_score(config: PlaceRecognitionConfig, kind: FeatureKind) -> float:
+    """Least score of a candidate by features of a kind."""
+    own = config.sift.min_score if kind == "sift" else None
+    return config.min_score if own is None else own
+
+
+def new_index(
+    config: PlaceRecognitionConfig, kind: FeatureKind, vocabulary: CoreVocabulary
+) -> PlaceIndex:
+    """An empty index of a kind that scores as configured.
 
     Raises:
         ConfigError: If no score could ever pass the threshold.
     """
     if config.score == "votes":
-        return VoteIndex(config.max_hamming)
-    if config.min_score > 1:
+        if isinstance(vocabulary, covinz_core.ByteVocabulary):
+            return VoteIndex(covinz_core.ResidualIndex(vocabulary, config.sift.max_hamming))
+        return VoteIndex(covinz_core.InvertedIndex(config.max_hamming))
+    least = min_score(config, kind)
+    if least > 1:
         raise ConfigError(
-            f"place_recognition.min_score is {config.min_score}, but tf_idf scores are at most 1"
+            f"place_recognition.min_score is {least}, but tf_idf scores are at most 1"
         )
     return TfIdfIndex(vocabulary)

@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import logging
 from collections import Counter, defaultdict
-
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Callable
 
 from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
 from covinz.types import (
-    Features,
-    FeatureType,
+    Camera,
     Keyframe,
     KeyframeId,
     LogEntry,
@@ -22,18 +19,21 @@ from covinz.types import (
     SegmentId,
 )
 from services.place_recognition import guards, rigs
-from services.place_recognition.index import Descriptors, PlaceIndex, Vocabulary, Words
-from services.place_recognition.rigs import JobMint, Pair
+from services.place_recognition.places import Descriptions, Places
+from services.place_recognition.rigs import JobMint, Pair, Rig, RigRule
 from services.place_recognition.track import PastQuery, QueryHistory, Track
 
 logger = logging.getLogger(__name__)
+
+# Keyframes of its session that a pair waits for, if its rigs do not tell the scale.
+PATIENCE = 2
 
 
 class Recognizer:
     """Turns log entries, in order, into jobs; the jobs are a function of the log alone.
 
-    Keyframes whose features the vocabulary cannot describe, or that have too few to pass
-    verification, take no part: not as query, nor as candidate, nor as neighbour in a rig.
+    Keyframes that have no kind of feature that is in use, or too few of it to pass verification,
+    take no part: not as query, nor as candidate, nor as neighbour in a rig.
 
     Attributes:
         counters: What happened so far, by name.
@@ -43,23 +43,25 @@ class Recognizer:
         self,
         config: PlaceRecognitionConfig,
         solver: LoopSolverConfig,
-        vocabulary: Vocabulary,
-        index: PlaceIndex,
+        places: Places,
+        camera: Callable[[str], Camera | None],
     ) -> None:
         self._config = config
-        self._vocabulary = vocabulary
-        self._index = index
-        self._mint = JobMint(solver, vocabulary.hash)
+        self._places = places
+        self._mint = JobMint(solver, config.rigs, places.identity)
+        self._rule = RigRule(config.rigs, solver, camera)
         self._tracks: dict[SegmentId, Track] = {}
         self._tracks_of: defaultdict[str, list[Track]] = defaultdict(list)
         self._history: defaultdict[SegmentId, QueryHistory] = defaultdict(QueryHistory)
+        # Sessions whose agent has begun another one.
+        self._over: set[SegmentId] = set()
         self._indexed: list[KeyframeId] = []
         self._waiting: defaultdict[SegmentId, list[Pair]] = defaultdict(list)
         self.counters: Counter[str] = Counter()
 
     @property
     def waiting(self) -> int:
-        """Pairs that become jobs when their sessions have enough keyframes for the rigs."""
+        """Pairs that become jobs when their sessions have the keyframes that the rigs need."""
         return sum(len(pairs) for pairs in self._waiting.values())
 
     def process(self, entry: LogEntry) -> list[LoopJob]:
@@ -67,49 +69,53 @@ class Recognizer:
         kf = entry.item
         if not isinstance(kf, Keyframe):
             return []
-        features = self._usable(kf)
-        if features is None:
-            return []
-        track = self._track(kf.id.segment)
-        track.insert(kf)
+        jobs = self._begin(kf.id.segment)
+        track = self._tracks[kf.id.segment]
+        track.path.insert(kf)
+        descriptions = self._describe(kf)
+        if descriptions:
+            track.insert(kf)
         # Pairs that waited for this session are older than those the keyframe brings.
-        jobs = self._form(self._waiting.pop(kf.id.segment, []))
-        words = self._vocabulary.words(features.descriptors)
-        jobs += self._form(self._query(kf.id, words, features.descriptors))
-        self._add(kf.id, words, features.descriptors)
+        jobs += self._form(self._waiting.pop(kf.id.segment, []))
+        if descriptions:
+            jobs += self._form(self._query(kf.id, descriptions))
+            self._add(kf.id, descriptions)
         return jobs
 
-    def _usable(self, kf: Keyframe) -> Features | None:
-        features = kf.features
-        if features is not None and features.type is not FeatureType.ORB:
-            self._skip(kf, "skipped.feature_type", f"features are {features.type.name}, not ORB")
-            return None
-        count = 0 if features is None else len(features)
-        if count < self._config.min_features:
-            self._skip(kf, "skipped.few_features", f"{count} features")
-            return None
-        return features
+    def _describe(self, kf: Keyframe) -> Descriptions:
+        descriptions = self._places.describe(kf)
+        counts = {block.type.name.lower(): len(block) for block in kf.all_features}
+        if not descriptions and counts and not counts.keys() & set(self._places.kinds):
+            self._skip(kf, "skipped.feature_type", f"only has {', '.join(counts)}")
+        elif not descriptions:
+            self._skip(kf, "skipped.few_features", f"features: {counts}")
+        return descriptions
 
     def _skip(self, kf: Keyframe, counter: str, reason: str) -> None:
         self.counters[counter] += 1
         logger.info("keyframe %s takes no part in place recognition: %s", kf.id, reason)
 
-    def _track(self, segment: SegmentId) -> Track:
-        if segment not in self._tracks:
-            self._tracks[segment] = Track(segment)
-            self._tracks_of[segment.agent].append(self._tracks[segment])
-        return self._tracks[segment]
+    def _begin(self, segment: SegmentId) -> list[LoopJob]:
+        """Note a session; one that is new ends the others of its agent, and what waits for them."""
+        if segment in self._tracks:
+            return []
+        jobs = []
+        for track in self._tracks_of[segment.agent]:
+            self._over.add(track.segment)
+            jobs += self._form(self._waiting.pop(track.segment, []))
+        self._tracks[segment] = Track(segment)
+        self._tracks_of[segment.agent].append(self._tracks[segment])
+        return jobs
 
-    def _query(self, query: KeyframeId, words: Words, descriptors: Descriptors) -> list[Pair]:
+    def _query(self, query: KeyframeId, descriptions: Descriptions) -> list[Pair]:
         track, history = self._tracks[query.segment], self._history[query.segment]
         if not guards.may_query(query.seq, track, history, self._config):
             self.counters["not_queried"] += 1
             return []
-        scores = self._index.scores(words, descriptors)
-        mask = guards.eligible(query, len(scores), self._tracks_of[query.agent], self._config)
+        mask = guards.eligible(query, len(self._places), self._tracks_of[query.agent], self._config)
         found = [
-            Pair(query, self._indexed[slot], float(scores[slot]))
-            for slot in best(scores, mask, self._config)
+            Pair(query, self._indexed[slot], score)
+            for slot, score in self._places.best(descriptions, mask)
         ]
         pairs = found
         if self._config.consistent_queries:
@@ -127,40 +133,37 @@ class Recognizer:
         """Make jobs of the pairs whose rigs can be formed; the others wait for their session."""
         jobs = []
         for pair in pairs:
-            query = rigs.query_rig(self._tracks[pair.query.segment], pair.query.seq)
-            cand = rigs.cand_rig(self._tracks[pair.cand.segment], pair.cand.seq)
+            query = self._rule.query(pair, self._tracks[pair.query.segment])
+            cand = self._rule.cand(pair, self._tracks[pair.cand.segment])
             if query is None:
                 self._waiting[pair.query.segment].append(pair)
             elif cand is None:
                 self._waiting[pair.cand.segment].append(pair)
-            elif rigs.overlap(query, cand):
+            elif (awaited := self._awaited(pair, query, cand)) is not None:
+                self._waiting[awaited].append(pair)
+            elif rigs.overlap(query.members, cand.members):
                 self.counters["skipped.overlap"] += 1
             else:
-                jobs.append(self._mint.job(pair, query, cand))
+                jobs.append(self._mint.job(pair, query.members, cand.members))
         self.counters["candidates"] += len(jobs)
         return jobs
 
-    def _add(self, kf: KeyframeId, words: Words, descriptors: Descriptors) -> None:
+    def _awaited(self, pair: Pair, query: Rig, cand: Rig) -> SegmentId | None:
+        """The session whose next keyframes may tell the scale that the rigs do not, if any.
+
+        A session is waited for until it has gone on by `PATIENCE` keyframes, or is over.
+        """
+        if query.information + cand.information >= self._config.rigs.min_information:
+            return None
+        for kf in (pair.query, pair.cand):
+            num_after = self._tracks[kf.segment].path.num_after(kf.seq)
+            if kf.segment not in self._over and num_after < PATIENCE:
+                return kf.segment
+        return None
+
+    def _add(self, kf: KeyframeId, descriptions: Descriptions) -> None:
         if guards.may_be_candidate(kf.seq, self._config):
-            slot = self._index.add(words, descriptors)
+            slot = self._places.add(descriptions)
             self._tracks[kf.segment].set_slot(kf.seq, slot)
             self._indexed.append(kf)
             self.counters["indexed"] += 1
-
-
-def best(
-    scores: NDArray[np.float32], mask: NDArray[np.bool_], config: PlaceRecognitionConfig
-) -> list[int]:
-    """The slots of the best eligible keyframes, best first; of equal ones the older first.
-
-    Args:
-        scores: (size,) score of every keyframe in the index.
-        mask: (size,) which of them are eligible.
-        config: `num_candidates`, `min_score`, and `min_score_ratio` of the best eligible score.
-    """
-    slots = np.flatnonzero(mask & (scores > 0) & (scores >= config.min_score))
-    if not len(slots):
-        return []
-    slots = slots[scores[slots] >= config.min_score_ratio * scores[slots].max()]
-    order = np.lexsort((slots, -scores[slots]))
-    return [int(slot) for slot in slots[order[: config.num_candidates]]]

@@ -1,19 +1,26 @@
-"""Loop jobs: the five keyframes of the two rigs, fixed when the job is made.
+"""Loop jobs: the keyframes of the two rigs and what odometry knows of them, fixed when made.
 
-Source: COVINS-G III-B2, S_q and S_c.
+Source: COVINS-G III-B2, S_q and S_c; decision 0021.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from covinz.config import LoopSolverConfig
-from covinz.types import KeyframeId, LoopJob, RigMember
+import numpy as np
+
+from covinz.config import LoopSolverConfig, RigConfig
+from covinz.types import Camera, KeyframeId, LoopJob, RigMember
+from services.place_recognition.neighbours import choose, window
 from services.place_recognition.track import Track
 
-Rig = tuple[RigMember, ...]
+Members = tuple[RigMember, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,41 +32,129 @@ class Pair:
     score: float
 
 
-def query_rig(track: Track, seq: int) -> Rig | None:
-    """S_q: the keyframe and its nearest logged predecessor, or successor when it has none.
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Keyframes of one session.
 
-    None when the session has no second keyframe yet.
+    Attributes:
+        members: The reference first, then the others.
+        information: What they tell about scale, one over the relative variance; infinite where
+            nobody asks for it.
     """
-    neighbour = track.before(seq, 1) or track.after(seq, 1)
-    return (track.member(seq), *neighbour) if neighbour else None
+
+    members: Members
+    information: float
 
 
-def cand_rig(track: Track, seq: int) -> Rig | None:
-    """S_c: the keyframe with the nearest logged predecessor and successor.
+class RigRule:
+    """Forms the rigs of a pair from the keyframes logged so far, as configured.
 
-    Where one of the two is missing the other side gives two. None when the session has less
-    than three keyframes yet.
+    Args:
+        rigs: Sizes, and how neighbours are chosen.
+        solver: Its profile, and odometry's usual accuracy.
+        camera: Gives a calibration by its hash; None for one that nobody has.
     """
-    before, after = track.before(seq, 2), track.after(seq, 2)
-    neighbours = (before[0], after[0]) if before and after else before + after
-    return (track.member(seq), *neighbours) if len(neighbours) == 2 else None
+
+    def __init__(
+        self, rigs: RigConfig, solver: LoopSolverConfig, camera: Callable[[str], Camera | None]
+    ) -> None:
+        self._config = rigs
+        self._fast = solver.fast
+        self._camera = camera
+        by_profile = "index" if solver.profile == "paper" else "geometry"
+        self._by_geometry = (rigs.neighbours or by_profile) == "geometry"
+        # The candidates of a query mostly share its rig.
+        self._last_query: tuple[object, Rig | None] = (None, None)
+
+    def query(self, pair: Pair, track: Track) -> Rig | None:
+        """S_q, from the query's session; None while that has too few keyframes."""
+        rival = pair.cand if pair.cand.segment == pair.query.segment else None
+        key = (track, len(track.path), pair.query, rival)
+        if key != self._last_query[0]:
+            rig = self._rig(track, pair.query, pair.cand, self._config.query_size)
+            self._last_query = (key, rig)
+        return self._last_query[1]
+
+    def cand(self, pair: Pair, track: Track) -> Rig | None:
+        """S_c, from the candidate's session; None while that has too few keyframes."""
+        return self._rig(track, pair.cand, pair.query, self._config.cand_size)
+
+    def _rig(self, track: Track, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
+        rig = None
+        if self._by_geometry:
+            rig = self._best(track.around(of.seq, self._config.max_steps), of, other, size)
+        if rig is None:
+            rig = nearest(track, of.seq, size)
+        # Whatever size is asked for, a session that has the paper's number can close loops.
+        if rig is None or len(rig.members) < min(size, 3):
+            return None
+        return dataclasses.replace(rig, members=self._with_motions(track, rig.members))
+
+    def _best(self, around: Members, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
+        """The best rig by geometry; None where a calibration is missing or unusable."""
+        if of.segment == other.segment:
+            # Half of the way to the other keyframe is that one's: rigs share no keyframe.
+            around = tuple(
+                m for m in around if abs(m.keyframe.seq - of.seq) < abs(m.keyframe.seq - other.seq)
+            )
+        cameras = [self._camera(member.camera_hash) for member in around]
+        known = [camera for camera in cameras if camera is not None]
+        if len(known) < len(around):
+            return None
+        T_odom_body = np.stack([member.T_odom_body for member in around])
+        reference = [member.keyframe for member in around].index(of)
+        part = window(T_odom_body, reference, self._config)
+        around, reference = around[part], reference - part.start
+        try:
+            choice = choose(
+                T_odom_body[part], known[part], reference, size, self._config, self._fast
+            )
+        except ValueError:
+            return None
+        return Rig(tuple(around[row] for row in choice.rows), choice.information)
+
+    def _with_motions(self, track: Track, members: Members) -> Members:
+        in_time = sorted(members, key=lambda member: member.keyframe.seq)
+        covariances = {
+            later.keyframe: track.path.covariance(
+                earlier.keyframe.seq, later.keyframe.seq, self._fast.odometry
+            )
+            for earlier, later in pairwise(in_time)
+        }
+        return tuple(
+            dataclasses.replace(member, motion_covariance=covariances.get(member.keyframe))
+            for member in members
+        )
 
 
-def overlap(query: Rig, cand: Rig) -> bool:
+def nearest(track: Track, seq: int, size: int) -> Rig | None:
+    """The paper's rule: a keyframe and its nearest logged neighbours by index.
+
+    A rig of two takes the predecessor, a larger one predecessors and successors by turns; where
+    one side has too few the other gives more. None for a keyframe without any neighbour.
+    """
+    before, after = track.before(seq, size - 1), track.after(seq, size - 1)
+    num_before = min(len(before), max(size // 2, size - 1 - len(after)))
+    chosen = (*before[:num_before], *after[: size - 1 - num_before])
+    return Rig((track.member(seq), *chosen), math.inf) if chosen else None
+
+
+def overlap(query: Sequence[RigMember], cand: Sequence[RigMember]) -> bool:
     """Whether a keyframe is in both rigs, so that matching it with itself would prove nothing."""
     return not {m.keyframe for m in query}.isdisjoint(m.keyframe for m in cand)
 
 
 class JobMint:
-    """Makes jobs whose identity says what was asked: pair, solver configuration, vocabulary."""
+    """Makes jobs whose identity says what was asked: pair, configuration, vocabulary."""
 
-    def __init__(self, solver: LoopSolverConfig, vocabulary_hash: str) -> None:
-        canonical = json.dumps(
-            solver.model_dump(mode="json"), sort_keys=True, separators=(",", ":")
-        )
-        self._context = f"{canonical}\n{vocabulary_hash}"
+    def __init__(self, solver: LoopSolverConfig, rigs: RigConfig, vocabulary_hash: str) -> None:
+        canonical = [
+            json.dumps(config.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+            for config in (solver, rigs)
+        ]
+        self._context = "\n".join([*canonical, vocabulary_hash])
 
-    def job(self, pair: Pair, query: Rig, cand: Rig) -> LoopJob:
+    def job(self, pair: Pair, query: Members, cand: Members) -> LoopJob:
         """The job of a pair whose rigs are known."""
         text = f"{pair.query}\n{pair.cand}\n{self._context}"
         digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -8,7 +8,6 @@ which the cursor moves past it, so a status is never ahead of its jobs.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -17,9 +16,12 @@ from contextlib import ExitStack, closing
 from covinz import codec
 from covinz.bus import Query
 from covinz.config import Config
+from covinz.keyframes import RemoteKeyframeStore
 from covinz.log_follower import LogFollower, LogReset
+from covinz.machine import THIS_MACHINE, Machine
 from covinz.service import Context, Inbox, StatusRequest
-from covinz.types import LogEntry, LogPage, LogView, Status
+from covinz.types import Camera, LogEntry, LogPage, LogView, Status
+from services.place_recognition.calibrations import Calibrations
 from services.place_recognition.desk import (
     Desk,
     JobsAsked,
@@ -29,8 +31,9 @@ from services.place_recognition.desk import (
     open_desk,
 )
 from services.place_recognition.dispatcher import Dispatcher
-from services.place_recognition.index import load_vocabulary, new_index
+from services.place_recognition.index import load_vocabulary
 from services.place_recognition.journal import Journal
+from services.place_recognition.places import Places
 from services.place_recognition.recognizer import Recognizer
 
 logger = logging.getLogger(__name__)
@@ -48,17 +51,21 @@ def run(context: Context) -> None:
         ConfigError: If there is no usable vocabulary.
         DurableFileError: If the journal cannot be used.
     """
-    config = context.config
-    new_recognizer = recognizer_factory(config)
-    gate = PageGate(context.inbox)
+    config, machine = context.config, context.machine
+    store = RemoteKeyframeStore(context.bus, capacity=1)
+    calibrations = Calibrations(store, machine=machine)
+    new_recognizer = recognizer_factory(config, calibrations.camera)
+    gate = PageGate(context.inbox, calibrations, machine)
     with ExitStack() as stack:
         path = context.data_dir / "place_recognition.sqlite"
         journal = stack.enter_context(closing(Journal(path)))
         dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, journal)
         desk = Desk(dispatcher, journal, context.bus)
-        service = PlaceRecognition(context.instance, new_recognizer, dispatcher, desk, gate)
+        service = PlaceRecognition(
+            context.instance, new_recognizer, dispatcher, desk, gate, machine.monotonic_s
+        )
         stack.enter_context(open_desk(context.bus, context.inbox))
-        follower = LogFollower(context.bus, LogView.FULL, gate.deliver)
+        follower = LogFollower(context.bus, LogView.FULL, gate.deliver, machine=machine)
         stack.enter_context(closing(follower))
         stack.callback(gate.open_for_ever)
         # The index lives in memory only, so the log is always read from its beginning.
@@ -67,18 +74,25 @@ def run(context: Context) -> None:
             service.step(context.inbox)
 
 
-def recognizer_factory(config: Config) -> Callable[[], Recognizer]:
-    """Makes empty recognizers; the vocabulary is read once.
+def recognizer_factory(
+    config: Config, camera: Callable[[str], Camera | None]
+) -> Callable[[], Recognizer]:
+    """Makes empty recognizers; the vocabularies are read once.
+
+    Args:
+        config: All of it: also the solver's part says what a job is.
+        camera: Gives the calibrations of the log's keyframes by their hashes.
 
     Raises:
-        ConfigError: If the vocabulary or the index's options cannot be used.
+        ConfigError: If a vocabulary or an index's options cannot be used.
     """
-    vocabulary = load_vocabulary(config.place_recognition.vocabulary)
-    new_index(config.place_recognition, vocabulary)
+    kinds = config.loop_solver.kinds
+    vocabularies = {kind: load_vocabulary(config.place_recognition, kind) for kind in kinds}
+    Places(config.place_recognition, kinds, vocabularies)
 
     def make() -> Recognizer:
-        index = new_index(config.place_recognition, vocabulary)
-        return Recognizer(config.place_recognition, config.loop_solver, vocabulary, index)
+        places = Places(config.place_recognition, kinds, vocabularies)
+        return Recognizer(config.place_recognition, config.loop_solver, places, camera)
 
     return make
 
@@ -86,25 +100,36 @@ def recognizer_factory(config: Config) -> Callable[[], Recognizer]:
 class PageGate:
     """Lets the log's follower run ahead by a few pages only; other events pass freely."""
 
-    def __init__(self, inbox: Inbox) -> None:
+    def __init__(
+        self, inbox: Inbox, calibrations: Calibrations, machine: Machine = THIS_MACHINE
+    ) -> None:
         self._inbox = inbox
-        self._places = threading.Semaphore(PAGES_AHEAD)
+        self._calibrations = calibrations
+        self._changed = machine.condition()  # guards what follows
+        self._places = PAGES_AHEAD
         self._open = False
 
     def deliver(self, event: LogReset | LogPage) -> None:
-        """For the follower's thread: waits until there is room for a page."""
-        if isinstance(event, LogPage) and not self._open:
-            self._places.acquire()
+        """For the follower's thread: waits until there is room for a page, and calibrations."""
+        if isinstance(event, LogPage):
+            with self._changed:
+                self._changed.wait_for(lambda: self._open or self._places)
+                self._places -= 1
+            self._calibrations.fetch(event)
         self._inbox.put(event)
 
     def page_done(self) -> None:
         """A page has been worked off."""
-        self._places.release()
+        with self._changed:
+            self._places += 1
+            self._changed.notify_all()
 
     def open_for_ever(self) -> None:
         """Let a waiting follower go: the service ends."""
-        self._open = True
-        self._places.release()
+        with self._changed:
+            self._open = True
+            self._changed.notify_all()
+        self._calibrations.close()
 
 
 class PlaceRecognition:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from covinz.types import Array, Keyframe, KeyframeId, RigMember, SegmentId
+from services.place_recognition.odometry_path import OdometryPath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,11 +30,13 @@ class PathDistances:
 class Track:
     """The logged keyframes of one session in order of `seq`, whatever the order of arrival.
 
-    `slots` holds each keyframe's place in the index, -1 for one that was never put in.
+    `slots` holds each keyframe's place in the index, -1 for one that was never put in; `path` has
+    all keyframes of the session, also those that take no part in place recognition.
     """
 
     def __init__(self, segment: SegmentId) -> None:
         self.segment = segment
+        self.path = OdometryPath()
         self.seqs: list[int] = []
         self.slots: list[int] = []
         self._members: list[RigMember] = []
@@ -76,6 +79,11 @@ class Track:
         """Up to `count` nearest logged successors, the nearest first."""
         at = self._position(seq)
         return tuple(self._members[at + 1 : at + 1 + count])
+
+    def around(self, seq: int, count: int) -> tuple[RigMember, ...]:
+        """A keyframe and up to `count` nearest logged ones on either side, in order of time."""
+        at = self._position(seq)
+        return tuple(self._members[max(0, at - count) : at + count + 1])
 
     def distances(self, seq: int) -> PathDistances:
         """Distances of all keyframes of the session, in the order of `seqs`, from one of them."""

@@ -68,6 +68,13 @@ LOOP_JOB = types.LoopJob(
     tuple(types.RigMember(CAND, turn(0, i, 0), HASH) for i in range(3)),
     38.25,
 )
+RIG_MOTION_JOB = dataclasses.replace(
+    LOOP_JOB,
+    query_rig=(
+        dataclasses.replace(LOOP_JOB.query_rig[0], motion_covariance=COVARIANCE),
+        *LOOP_JOB.query_rig[1:],
+    ),
+)
 SUMMARY = types.MapSummary(
     OLD, 12, (SegmentId("robot_1", OLD), SegmentId("robot-2", NEW)), 3, 1
 )  # fmt: skip
@@ -91,6 +98,9 @@ EXAMPLES: dict[str, Any] = {
     ),
     "Keyframe": KEYFRAME,
     "Keyframe-sift": types.Keyframe(CAND, 0, turn(0, 0, 0), HASH, SIFT),
+    "Keyframe-two_kinds": types.Keyframe(
+        CAND, 0, turn(0, 0, 0), HASH, ORB, more_features=(SIFT,)
+    ),
     "Keyframe-pose": types.Keyframe(CAND, 5, turn(0, 0, 0), HASH, None),
     "Gap": GAP,
     "UploadReply-stored": types.Stored(),
@@ -105,6 +115,7 @@ EXAMPLES: dict[str, Any] = {
     "LeaseRequest": types.LeaseRequest("worker-1"),
     "Lease": types.Lease(LOOP_JOB, "worker-1", 2, 60.0),
     "LoopJob": LOOP_JOB,
+    "LoopJob-motions": RIG_MOTION_JOB,
     "LoopClosure": LOOP,
     "LoopClosure-fast": FAST_LOOP,
     "Rejection": REJECTION,

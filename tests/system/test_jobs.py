@@ -183,7 +183,8 @@ def outcomes(records: list[JobRecord]) -> list[bytes]:
 
 def expected_jobs(config: Config, recording: list[tuple[RenderedRobot, Keyframe]]) -> list[bytes]:
     """The job list that the log implies, made without any process."""
-    recognizer = recognizer_factory(config)()
+    cameras = {robot.camera.hash: robot.camera for robot, _ in recording}
+    recognizer = recognizer_factory(config, cameras.get)()
     entries = [LogEntry(i, over_the_wire(kf)) for i, (_, kf) in enumerate(recording)]
     return [codec.encode(job) for entry in entries for job in recognizer.process(entry)]
 

@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 // The compiler makes two versions of a function marked so, and the loader picks the one with
@@ -23,16 +24,24 @@ inline constexpr size_t kDescriptorBytes = 32;
 using BinaryDescriptor = std::array<uint64_t, 4>;
 static_assert(sizeof(BinaryDescriptor) == kDescriptorBytes);
 
-// Number of differing bits, 0 to 256.
-inline int HammingDistance(const BinaryDescriptor& a, const BinaryDescriptor& b) {
+// Number of differing bits.
+template <size_t kWords>
+inline int HammingDistance(const std::array<uint64_t, kWords>& a,
+                           const std::array<uint64_t, kWords>& b) {
   int distance = 0;
-  for (size_t i = 0; i < a.size(); ++i) distance += __builtin_popcountll(a[i] ^ b[i]);
+  for (size_t i = 0; i < kWords; ++i) distance += __builtin_popcountll(a[i] ^ b[i]);
   return distance;
 }
 
-// Descriptors of num_descriptors * 32 bytes.
-std::vector<BinaryDescriptor> BinaryDescriptorsFromBytes(const uint8_t* bytes,
-                                                         size_t num_descriptors);
+// Descriptors, of any kind, of num_descriptors * sizeof(Descriptor) bytes.
+template <typename Descriptor>
+std::vector<Descriptor> DescriptorsFromBytes(const uint8_t* bytes, size_t num_descriptors) {
+  std::vector<Descriptor> descriptors(num_descriptors);
+  if (num_descriptors > 0) {
+    std::memcpy(descriptors.data(), bytes, num_descriptors * sizeof(Descriptor));
+  }
+  return descriptors;
+}
 
 // Index of the candidate nearest to the query, the first one of equals; num_candidates > 0.
 size_t NearestDescriptor(const BinaryDescriptor& query,

@@ -35,6 +35,8 @@ class PackedDescriptors {
   // groups()[(i / 16 * num_groups() + g) * 16 + i % 16] is bytes 4 g to 4 g + 3 of descriptor i.
   const std::vector<uint32_t>& groups() const { return groups_; }
   size_t num_groups() const { return num_groups_; }
+  // The same bytes one descriptor after the other, num_groups() / 2 words each.
+  const std::vector<uint64_t>& words() const { return words_; }
   // Sums over the bytes of each descriptor and over their squares, filled up with zeros.
   const std::vector<uint32_t>& sums() const { return sums_; }
   const std::vector<uint32_t>& squared_norms() const { return squared_norms_; }
@@ -46,6 +48,7 @@ class PackedDescriptors {
   size_t num_bytes_;
   size_t num_groups_;
   std::vector<uint32_t> groups_;
+  std::vector<uint64_t> words_;
   std::vector<uint32_t> sums_;
   std::vector<uint32_t> squared_norms_;
 };

@@ -7,6 +7,7 @@
 #include <Eigen/Geometry>
 
 #include "covinz/bearing_residual.h"
+#include "covinz/instruction_set.h"
 #include "covinz/rig_tracks.h"
 #include "covinz/se3.h"
 
@@ -49,6 +50,7 @@ struct RigRefinementOptions {
   int max_num_iterations = 8;
   // Stop when an iteration lowers the cost by less than this part.
   double min_relative_decrease = 1e-4;
+  InstructionSet instruction_set = BestInstructionSet();
 
   void Check() const;  // throws std::invalid_argument
 };
@@ -68,6 +70,13 @@ struct RigRefinement {
   int num_iterations;
 };
 
+// Where a refinement starts: camera poses in the rigs' body frames and the rigs' relative pose.
+struct RigPoses {
+  std::vector<Eigen::Isometry3d> T_cand_cam;
+  std::vector<Eigen::Isometry3d> T_query_cam;
+  Eigen::Isometry3d T_cand_query;
+};
+
 // Minimises, over the poses of all cameras but the candidate's first and over the points,
 //
 //   sum_observations rho_c(|e_ti|^2) + sum_motions rho_m(|L^-1 Log(T_ij_odometry^-1 T_ij)|^2)
@@ -75,12 +84,19 @@ struct RigRefinement {
 //
 // with e of bearing_residual.h, L L^T the covariance of a motion, and for motions c^2 = dof + 6.
 // Levenberg-Marquardt; points are eliminated (Schur complement), so a step solves for 24 unknowns
-// for the usual 2 + 3 cameras. Points start triangulated at the given pose.
+// for the usual 2 + 3 cameras. Points start triangulated at the given poses.
 //
-// Deterministic. Throws std::invalid_argument on malformed input and for tracks of cameras that the
-// rigs do not have.
+// Deterministic. Throws std::invalid_argument on malformed input, for tracks or a start of other
+// cameras than the rigs have, and where the processor lacks the instruction set.
 //
 // Source: Triggs et al., "Bundle adjustment: a modern synthesis", 1999; decision 0020.
+RigRefinement RefineRigs(const RefinedRig& cand,
+                         const RefinedRig& query,
+                         const RigTracks& tracks,
+                         const RigPoses& start,
+                         const RigRefinementOptions& options);
+
+// Starts with the rigs as odometry has them.
 RigRefinement RefineRigs(const RefinedRig& cand,
                          const RefinedRig& query,
                          const RigTracks& tracks,

@@ -11,6 +11,8 @@
 
 namespace covinz {
 
+struct SampsonTask;  // sampson_kernels.h
+
 struct RigScore {
   // Sum over the inliers of max_error^2 - error^2 [px^2]: N max_error^2 less the cost of MSAC.
   double gain = 0.0;
@@ -35,8 +37,9 @@ struct SampsonSystem {
 // the error of SquaredSampsonError_px2 in epipolar.h. A match is an inlier when error <= max_error
 // and its rays meet in front of both cameras (InFrontOfBoth).
 //
-// Every instruction set gives the same bits: matches are independent lanes, sums are of eight lanes
-// whatever the width of a register, and multiplications are never fused with additions.
+// Single precision: rounding moves an error by less than 0.001 px. Every instruction set gives the
+// same bits: matches are independent lanes, sums are of sixteen lanes whatever the width of a
+// register, and multiplications are never fused with additions.
 //
 // Source: Sampson 1982; Torr and Zisserman, "MLESAC", CVIU 2000 (MSAC).
 class RigSampson {
@@ -46,7 +49,7 @@ class RigSampson {
   explicit RigSampson(const RigPairs& rigs, InstructionSet instruction_set = BestInstructionSet());
 
   // Score of all matches.
-  // With a stride, here and below: only of every stride-th group of eight matches of each pair.
+  // With a stride, here and below: only of about every stride-th match of each pair.
   RigScore Score(const Eigen::Isometry3d& T_cand_query, double max_error_px, int stride = 1) const;
 
   // Score of the matches of one pair for a baseline b of any length.
@@ -82,14 +85,21 @@ class RigSampson {
     size_t num_blocks;
   };
 
-  Eigen::Vector3d Baseline(const Pair& pair, const Eigen::Isometry3d& T_cand_query) const;
+  SampsonTask TaskOf(size_t pair,
+                     const Eigen::Matrix3d& R_cand_query,
+                     const Eigen::Vector3d& translation,
+                     double max_error_px) const;
+  std::vector<SampsonTask> Tasks(const Eigen::Isometry3d& T_cand_query, double max_error_px) const;
+  // Matches that a stride takes.
+  size_t NumSampled(int stride) const;
 
   InstructionSet instruction_set_;
   std::vector<Pair> pairs_;
   int num_matches_ = 0;
-  // Blocks of eight matches: q.x of all eight, q.y, q.z, c.x, c.y, c.z. The last block of a pair is
-  // filled with NaN, which is never an inlier.
-  std::vector<double> rays_;
+  // Blocks of sixteen matches: q.x of all of them, q.y, q.z, c.x, c.y, c.z. The matches of a pair
+  // are dealt out to its blocks in turn, so that some blocks show as much of the images as all.
+  // Empty lanes are zero, which never lies in front.
+  std::vector<float> rays_;
 };
 
 }  // namespace covinz

@@ -9,7 +9,7 @@ namespace covinz {
 
 // Minimises the biweight cost of RigSampson::Linearize by Levenberg-Marquardt over the six degrees
 // of freedom of T_cand_query, at most max_num_iterations steps of up to 0.2 rad and 0.5 m from the
-// given pose, on every stride-th group of eight matches. Stops when a step is shorter than 1e-6 in
+// given pose, on about every stride-th match. Stops when a step is shorter than 1e-4 in
 // radians and metres.
 //
 // Source: Levenberg 1944, Marquardt 1963; the weights are iterated as in Holland and Welsch,

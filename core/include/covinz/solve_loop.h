@@ -62,6 +62,14 @@ struct LoopOptions {
   void Check() const;  // throws std::invalid_argument
 };
 
+// Wall time of one stage of a solve: "matching", "pairs" (the paper's pre-filter), "rig" (its
+// 17-point RANSAC and test of scale) or "hypotheses" and "refinement" (the fast profile's, the
+// choice included), "covariance".
+struct StageTime {
+  std::string name;
+  double ms;
+};
+
 struct LoopEstimate {
   Eigen::Isometry3d T_cand_query;  // bodies of the two reference keyframes
   // Right perturbation of T_cand_query in the query body frame, [rotation, translation],
@@ -79,6 +87,8 @@ struct LoopEstimate {
   // that it shares with its neighbours.
   double independent_px = 0.0;
   double shared_px = 0.0;
+  // In order; the one thing that differs from run to run.
+  std::vector<StageTime> stage_ms = {};
 };
 
 // One of several solutions that explain the matches alike.
@@ -110,6 +120,8 @@ struct LoopRejection {
   double threshold;
   // Of "ambiguous": the best solution, and the one that is nearly as good.
   std::vector<LoopSolution> solutions = {};
+  // In order, up to the stage that failed; differs from run to run.
+  std::vector<StageTime> stage_ms = {};
 };
 
 using LoopResult = std::variant<LoopEstimate, LoopRejection>;

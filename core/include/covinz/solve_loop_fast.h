@@ -42,7 +42,7 @@ struct FastLoopOptions {
   int max_num_trial_iterations = 4;
   // The best one, and those that it is not clearly ahead of, are then refined to the end ...
   // ... over the matches that they explain, chosen anew at most so often.
-  int max_num_rounds = 3;
+  int max_num_rounds = 8;
   // Matches that the solution must explain in all; there is no least number a pair. [paper III-B2]
   int min_num_inliers = 100;
   // Two cameras of one rig must be further apart than this [m], or there is no scale.
@@ -53,6 +53,8 @@ struct FastLoopOptions {
   // Largest translation [m] and rotation [rad] between the reference keyframes. Off by default.
   double max_translation_m = std::numeric_limits<double>::infinity();
   double max_rotation_rad = std::numeric_limits<double>::infinity();
+  // Of all kernels, in place of those of the stages. Results differ by rounding at most.
+  InstructionSet instruction_set = BestInstructionSet();
   // Same seed and input, same result.
   uint64_t seed = 0;
 

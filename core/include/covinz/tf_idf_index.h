@@ -18,7 +18,9 @@ namespace covinz {
 // recognition in image sequences", T-RO 2012, eq. (2).
 class TfIdfIndex {
  public:
-  explicit TfIdfIndex(const Vocabulary& vocabulary);
+  template <typename Descriptor>
+  explicit TfIdfIndex(const BasicVocabulary<Descriptor>& vocabulary)
+      : idf_(vocabulary.idf()), postings_(vocabulary.num_words()) {}
 
   // Adds a keyframe and returns its index: 0, 1, 2, ... Throws std::invalid_argument on a word
   // that the vocabulary does not have.

@@ -1,4 +1,4 @@
-// Training of a vocabulary by hierarchical k-majority.
+// Training of a vocabulary by hierarchical k-majority or k-means.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +14,7 @@ struct VocabularyTrainingOptions {
   // keyframes, in a file of 0.4 MB]
   int branching = 10;
   int depth = 4;
-  // Rounds of k-majority per node; it mostly ends earlier, when no centroid changes.
+  // Rounds per node; they mostly end earlier, when no centroid changes.
   int max_num_iterations = 25;
   // Same seed and input, same bits.
   uint64_t seed = 0;
@@ -23,8 +23,9 @@ struct VocabularyTrainingOptions {
 };
 
 // Splits the descriptors into `branching` clusters, these again, `depth` times. A centroid is
-// the bitwise majority of its cluster (a tie keeps the bit), seeded as in k-means++ with squared
-// Hamming distances. A cluster of equal descriptors stays a leaf, so there can be fewer words.
+// the bitwise majority of its cluster (a tie keeps the bit) or, of bytes, its rounded mean, seeded
+// as in k-means++ with squared distances. A cluster of equal descriptors stays a leaf, so there can
+// be fewer words.
 //
 // Image i holds the descriptors image_offsets[i] to image_offsets[i + 1], for the idf weights.
 //
@@ -36,5 +37,8 @@ struct VocabularyTrainingOptions {
 Vocabulary TrainVocabulary(const std::vector<BinaryDescriptor>& descriptors,
                            const std::vector<int64_t>& image_offsets,
                            const VocabularyTrainingOptions& options);
+ByteVocabulary TrainVocabulary(const std::vector<ByteDescriptor>& descriptors,
+                               const std::vector<int64_t>& image_offsets,
+                               const VocabularyTrainingOptions& options);
 
 }  // namespace covinz

@@ -193,3 +193,26 @@ def test_images_are_named_by_all_the_code_that_makes_them() -> None:
     imported = {name.rpartition(".")[2] for name in done.stdout.split()}
     assert len(imported) > 5
     assert imported <= {path.stem for path in renderer_sources()}
+
+
+def gravity(source: RenderedRobot) -> NDArray[np.float64]:
+    measured = [frame.gravity_body for frame in source.frames]
+    return np.stack([down for down in measured if down is not None])
+
+
+def test_gravity_is_sent_only_when_asked_for_and_with_the_error_asked_for(tmp_path: Path) -> None:
+    assert all(frame.gravity_body is None for frame in robot(scenario(), tmp_path).frames)
+    sigma_rad = 0.01
+    measuring = scenario(gravity_sigma_rad=sigma_rad)
+    source = robot(measuring, tmp_path)
+    errors_rad = []
+    for frame, T_world_body in zip(source.frames, source.groundtruth.T_ref_body, strict=True):
+        assert frame.gravity_body is not None
+        assert np.linalg.norm(frame.gravity_body) == pytest.approx(1.0)
+        down = T_world_body[:3, :3] @ frame.gravity_body
+        errors_rad += [down[0], down[1]]
+        assert down[2] < -0.99
+    assert np.std(errors_rad) == pytest.approx(sigma_rad, rel=0.4)
+    again, other = robot(measuring, tmp_path), robot(measuring, tmp_path, "a1")
+    np.testing.assert_array_equal(gravity(source), gravity(again))
+    assert not np.array_equal(gravity(source), gravity(other))

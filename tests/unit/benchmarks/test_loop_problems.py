@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.loop_problems import CONDITIONS, FOCAL_PX, T_BODY_CAM, LoopProblem, View, generate
+from benchmarks.loop_conditions import CONDITIONS
+from benchmarks.loop_problems import FOCAL_PX, T_BODY_CAM, LoopProblem, View, generate
 from covinz.frames import inverse, so3_log
 
 Array = NDArray[np.float64]

@@ -148,3 +148,73 @@ def test_tf_idf_scores_equal_and_disjoint_bags(vocabulary: core.Vocabulary) -> N
     with pytest.raises(ValueError, match="not in the vocabulary"):
         index.add(np.array([vocabulary.num_words], np.uint32))
     assert index.size == 2
+
+
+def numbers(num_clusters: int, per_cluster: int, seed: int = 0) -> Descriptors:
+    """Random centres of bytes, whose members differ by up to 4 in every component."""
+    rng = np.random.Generator(np.random.PCG64(seed))
+    centres = rng.integers(4, 252, (num_clusters, 128))
+    noise = rng.integers(-4, 5, (num_clusters, per_cluster, 128))
+    return (centres[:, None] + noise).reshape(-1, 128).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def byte_vocabulary() -> core.ByteVocabulary:
+    offsets = np.arange(0, 301, 30, dtype=np.int64)
+    return core.ByteVocabulary.train(numbers(30, 10), offsets, branching=3, depth=3, seed=1)
+
+
+def test_words_of_bytes(byte_vocabulary: core.ByteVocabulary) -> None:
+    words = byte_vocabulary.words(numbers(30, 10))
+    assert set(words.tolist()) == set(range(byte_vocabulary.num_words))
+    copy = core.ByteVocabulary.from_bytes(byte_vocabulary.to_bytes())
+    assert copy.hash == byte_vocabulary.hash
+    np.testing.assert_array_equal(copy.words(numbers(30, 10)), words)
+    assert copy.to_bytes()[-32:].hex() == copy.hash
+
+
+def test_byte_vocabulary_has_the_known_hash(byte_vocabulary: core.ByteVocabulary) -> None:
+    """Guards against a change of draws, order or format: loop job ids depend on the hash."""
+    assert (
+        byte_vocabulary.hash == "846ee53008cff51fcc96d6496945043def2ec6c0f10f836f09c60364f6c6d4a4"
+    )
+
+
+def test_kinds_of_vocabularies_are_not_mixed_up(
+    vocabulary: core.Vocabulary, byte_vocabulary: core.ByteVocabulary
+) -> None:
+    with pytest.raises(ValueError, match="128-byte descriptors"):
+        core.Vocabulary.from_bytes(byte_vocabulary.to_bytes())
+    with pytest.raises(ValueError, match="32-byte descriptors"):
+        core.ByteVocabulary.from_bytes(vocabulary.to_bytes())
+    with pytest.raises(ValueError, match="128 bytes"):
+        byte_vocabulary.words(np.zeros((4, 32), np.uint8))
+    with pytest.raises(ValueError, match="128 bytes"):
+        core.ResidualIndex(byte_vocabulary).add(np.zeros(4, np.uint32), clusters(4, 1))
+
+
+def test_residual_votes_find_noisy_copies() -> None:
+    # Few words, each of many clusters: a code tells the clusters of one word apart.
+    byte_vocabulary = core.ByteVocabulary.train(
+        numbers(30, 10), np.array([0, 300]), branching=3, depth=1
+    )
+    members = numbers(30, 10).reshape(30, 10, 128)
+    index = core.ResidualIndex(byte_vocabulary)
+    for cluster in members:
+        index.add(byte_vocabulary.words(cluster[:5]), cluster[:5])
+    assert len(index) == index.size == 30
+    for slot, cluster in enumerate(members):
+        votes = index.votes(byte_vocabulary.words(cluster[5:]), cluster[5:])
+        assert votes.dtype == np.float32
+        assert votes.argmax() == slot
+    with pytest.raises(ValueError, match="max_hamming"):
+        core.ResidualIndex(byte_vocabulary, max_hamming=129)
+    with pytest.raises(ValueError, match="not in the vocabulary"):
+        index.votes(np.array([10**6], np.uint32), members[0, :1])
+
+
+def test_tf_idf_takes_either_kind(byte_vocabulary: core.ByteVocabulary) -> None:
+    index = core.TfIdfIndex(byte_vocabulary)
+    weighty = np.flatnonzero(byte_vocabulary.idf > 0).astype(np.uint32)
+    index.add(weighty[:5])
+    np.testing.assert_allclose(index.scores(weighty[:5]), [1.0], atol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,16 @@ keyframes = st.builds(
     st.none() | generators.map(_unit),
     st.none() | st.binary(max_size=40),
 )
+# The same with another kind of feature, where there is room for one.
+keyframes = st.builds(
+    lambda kf, more: (
+        dataclasses.replace(kf, more_features=(more,))
+        if kf.features is not None and kf.features.type is not more.type
+        else kf
+    ),
+    keyframes,
+    features,
+)
 gaps = st.tuples(counts, counts).flatmap(
     lambda seqs: st.builds(types.Gap, agents, ulids, st.just(min(seqs)), st.just(max(seqs)), texts)
 )
@@ -105,7 +116,9 @@ def log_pages(draw: st.DrawFn) -> types.LogPage:
 
 
 rigs = st.lists(
-    st.builds(types.RigMember, keyframe_ids, poses, hashes), min_size=1, max_size=3
+    st.builds(types.RigMember, keyframe_ids, poses, hashes, st.none() | covariances),
+    min_size=1,
+    max_size=3,
 ).map(tuple)
 loop_jobs = st.builds(types.LoopJob, job_ids, rigs, rigs, finite)
 motion_residuals = st.builds(

@@ -114,6 +114,21 @@ def test_descriptors_have_the_length_of_their_type(kind: FeatureType) -> None:
             types.Features(kind, keypoints, np.zeros(shape, "u1"))
 
 
+def test_a_keyframe_has_one_block_a_kind() -> None:
+    orb = types.Features(FeatureType.ORB, np.zeros((2, 2)), np.zeros((2, 32)))
+    sift = types.Features(FeatureType.SIFT, np.zeros((3, 2)), np.zeros((3, 128)))
+    both = dataclasses.replace(KEYFRAME, features=orb, more_features=[sift])
+    assert both.all_features == (orb, sift)
+    assert both.features_of(FeatureType.SIFT) is sift
+    assert dataclasses.replace(KEYFRAME, features=sift).features_of(FeatureType.ORB) is None
+    assert dataclasses.replace(KEYFRAME, features=None).all_features == ()
+    for features, more in ((orb, (orb,)), (orb, (sift, sift)), (None, (sift,))):
+        with pytest.raises(ValueError, match="more_features"):
+            dataclasses.replace(KEYFRAME, features=features, more_features=more)
+    with pytest.raises(ValueError, match="there twice"):
+        types.KeyframeContent(0, np.eye(4), camera(), sift, more_features=(sift,))
+
+
 @pytest.mark.parametrize("value", [-1, 256, 1.5, float("nan")])
 def test_bytes_do_not_wrap_around(value: float) -> None:
     with pytest.raises(ValueError, match="not all values are uint8"):

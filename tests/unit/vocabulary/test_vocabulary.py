@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from covinz.config import FeatureConfig, PlaceRecognitionConfig
+from covinz.config import FeatureConfig, FeatureKind, PlaceRecognitionConfig
 from vocabulary.textures import draw_texture
 from vocabulary.train import recorded_images, train
 
@@ -25,20 +25,35 @@ def textures() -> Iterator[NDArray[np.uint8]]:
     yield from (draw_texture(seed) for seed in range(5))
 
 
-def test_shipped_file_is_the_one_its_provenance_describes() -> None:
-    data = (REPOSITORY / PlaceRecognitionConfig().vocabulary).read_bytes()
-    provenance = json.loads((FOLDER / "provenance.json").read_text())
-    vocabulary = core.Vocabulary.from_bytes(data)
-    assert vocabulary.hash == provenance["vocabulary_hash"]
-    assert hashlib.sha256(data).hexdigest() == provenance["sha256"]
-    assert vocabulary.num_words == provenance["num_words"] == 10_000
-    assert len(data) <= 10e6
-    assert all(source["licence"] in ("CC BY 4.0", "Apache-2.0") for source in provenance["sources"])
+PROVENANCE = json.loads((FOLDER / "provenance.json").read_text())
+CONFIG = PlaceRecognitionConfig()
+SHIPPED = {
+    "orb": (CONFIG.vocabulary, core.Vocabulary),
+    "sift": (CONFIG.sift.vocabulary, core.ByteVocabulary),
+}
 
 
-def test_shipped_file_was_trained_on_the_features_that_agents_extract() -> None:
-    provenance = json.loads((FOLDER / "provenance.json").read_text())
-    assert provenance["features"] == FeatureConfig().model_dump(mode="json")
+@pytest.mark.parametrize("kind", SHIPPED)
+def test_shipped_file_is_the_one_its_provenance_describes(kind: str) -> None:
+    path, of_kind = SHIPPED[kind]
+    data = (REPOSITORY / path).read_bytes()
+    described = PROVENANCE["vocabularies"][kind]
+    vocabulary = of_kind.from_bytes(data)
+    assert described["file"] == path.name
+    assert vocabulary.hash == described["vocabulary_hash"]
+    assert hashlib.sha256(data).hexdigest() == described["sha256"]
+    assert vocabulary.num_words == described["num_words"] == 10_000
+    assert len(data) <= 2e6
+
+
+def test_sources_may_be_used() -> None:
+    assert all(source["licence"] in ("CC BY 4.0", "Apache-2.0") for source in PROVENANCE["sources"])
+
+
+@pytest.mark.parametrize("kind", SHIPPED)
+def test_shipped_file_was_trained_on_the_features_that_agents_extract(kind: FeatureKind) -> None:
+    described = PROVENANCE["vocabularies"][kind]
+    assert described["features"] == FeatureConfig(kinds=(kind,)).model_dump(mode="json")
 
 
 def test_textures_depend_on_their_seed_alone() -> None:
@@ -54,12 +69,13 @@ def test_textures_depend_on_their_seed_alone() -> None:
 
 def test_training_is_reproducible() -> None:
     options = {"branching": 4, "depth": 3, "seed": 1}
-    first, counts = train(textures(), **options)
-    second, _ = train(textures(), **options)
-    assert first.to_bytes() == second.to_bytes()
-    assert first.num_words == 64
-    assert len(counts) == 5
-    assert sum(counts) > 4000
+    first, second = train(textures(), **options), train(textures(), **options)
+    assert set(first) == {"orb", "sift"}
+    for kind, trained in first.items():
+        assert trained.vocabulary.to_bytes() == second[kind].vocabulary.to_bytes()
+        assert trained.vocabulary.num_words == 64
+        assert len(trained.counts) == 5
+        assert sum(trained.counts) > 2500
 
 
 def test_recorded_images_come_in_the_order_of_the_listing(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from covinz import codec
+from covinz.codec.reader import read
+from covinz.codec.writer import write
 from covinz.config import IngestConfig
 from covinz.types import (
     Camera,
@@ -112,9 +114,35 @@ def test_keypoints_lie_in_the_image(px: tuple[float, float], inside: bool) -> No
         assert answer.code == Code.KEYPOINT_OUTSIDE
 
 
+def sift_features(num: int) -> Features:
+    return Features(FeatureType.SIFT, features(num).keypoints_px, np.zeros((num, 128), np.uint8))
+
+
+def test_two_kinds_are_admitted_and_counted_together() -> None:
+    kf = dataclasses.replace(keyframe(num_features=5), more_features=(sift_features(4),))
+    answer = admit_upload("a0", codec.encode(kf), KNOWN, CONFIG)
+    assert isinstance(answer, AdmittedUpload)
+    assert codec.decode(answer.pose, Keyframe).all_features == ()
+    assert len(answer.pose) < 400
+    code = code_of(codec.encode(kf), config=IngestConfig(max_features=8))
+    assert code == Code.TOO_MANY_FEATURES
+
+
+def test_keypoints_of_a_second_kind_lie_in_the_image() -> None:
+    outside = Features(FeatureType.SIFT, np.array([[0.0, 480.0]]), np.zeros((1, 128)))
+    kf = dataclasses.replace(keyframe(), more_features=(outside,))
+    assert code_of(codec.encode(kf)) == Code.KEYPOINT_OUTSIDE
+
+
+def test_a_kind_that_is_there_twice() -> None:
+    two = dataclasses.replace(keyframe(), more_features=(sift_features(3),))
+    fields = read(codec.encode(two), "Keyframe")
+    fields["more_features"] = [fields["features"]]
+    assert code_of(write("Keyframe", fields)) == Code.MALFORMED
+
+
 def test_wrong_descriptor_length() -> None:
-    sift = Features(FeatureType.SIFT, features(2).keypoints_px, np.zeros((2, 128), np.uint8))
-    payload = bytearray(codec.encode(dataclasses.replace(keyframe(), features=sift)))
+    payload = bytearray(codec.encode(dataclasses.replace(keyframe(), features=sift_features(2))))
     # Bytes of 256 descriptor values behind the length: claim one less.
     at = payload.index((256).to_bytes(4, "little"))
     payload[at : at + 4] = (255).to_bytes(4, "little")

@@ -150,7 +150,9 @@ def test_a_sent_covariance_is_used(room: Any) -> None:
     """An odometry that says that it is bad makes the loop less sure."""
     assert isinstance(room.job, LoopJob)
     before = solved(room)
-    for key, keyframe in room.store.keyframes.items():
-        room.store.keyframes[key] = dataclasses.replace(keyframe, covariance=0.01 * np.eye(6))
-    after = solved(room)
+    bad = [
+        dataclasses.replace(member, motion_covariance=0.01 * np.eye(6))
+        for member in room.job.cand_rig
+    ]
+    after = solved(with_cand_rig(room, bad))
     assert np.trace(after.covariance[3:, 3:]) > 2 * np.trace(before.covariance[3:, 3:])

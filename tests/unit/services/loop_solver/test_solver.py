@@ -10,7 +10,7 @@ import pytest
 from covinz import codec, frames
 from covinz.config import LoopSolverConfig, MatchingConfig
 from covinz.keyframes import StoreUnavailable
-from covinz.types import Camera, LoopClosure, Outcome, Rejection
+from covinz.types import Camera, FeatureType, LoopClosure, Outcome, Rejection
 from services.loop_solver.rig import BadRig, build_rig
 from services.loop_solver.solver import LoopSolver, loop_options
 
@@ -139,10 +139,11 @@ def test_every_option_is_passed_on() -> None:
 
 def test_missing_keyframe_and_camera_are_final(room: Any) -> None:
     gone = room.job.cand_rig[2].keyframe
-    del room.store.keyframes[gone]
+    kf = room.store.keyframes.pop(gone)
     outcome = solve(room)
     assert isinstance(outcome, Rejection)
     assert outcome.stage == "keyframe_missing" and str(gone) in outcome.detail
+    room.store.keyframes[gone] = kf
     room.store.cameras.clear()
     outcome = solve(room)
     assert isinstance(outcome, Rejection) and outcome.stage == "camera_missing"
@@ -175,10 +176,10 @@ def test_a_keyframe_without_features_is_a_bad_rig(room: Any) -> None:
     first = room.job.query
     kf = room.store.keyframes[first]
     room.store.keyframes[first] = dataclasses.replace(kf, features=None)
-    with pytest.raises(BadRig, match="no features"):
-        build_rig(room.job.query_rig, room.store)
+    with pytest.raises(BadRig, match="no ORB features"):
+        build_rig(room.job.query_rig, room.store, FeatureType.ORB)
     outcome = solve(room)
-    assert isinstance(outcome, Rejection) and outcome.stage == "error"
+    assert isinstance(outcome, Rejection) and outcome.stage == "feature_kind"
 
 
 def test_time_is_that_of_the_core(room: Any) -> None:

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from covinz.config import ConfigError, LoopSolverConfig, PlaceRecognitionConfig
+from covinz.config import ConfigError, FeatureKind, LoopSolverConfig, PlaceRecognitionConfig
 from covinz.types import FeatureType, Gap, Keyframe, KeyframeId, LogEntry, LoopJob
 from services.place_recognition.index import load_vocabulary
-from services.place_recognition.recognizer import Recognizer, best
+from services.place_recognition.places import best
+from services.place_recognition.recognizer import Recognizer
 
 Kid = Callable[[str, int], KeyframeId]
 LogOf = Callable[[Iterable[Keyframe]], list[LogEntry]]
@@ -50,7 +51,7 @@ def test_a_place_seen_again_becomes_a_job(world: Any, log_of: LogOf, kid: Kid) -
     assert [len(jobs) for jobs in found] == [0, 0, 0, 0, 0, 1]
     (job,) = found[-1]
     assert pairs([job]) == [(kid("b", 1), kid("a", 2))]
-    assert rig_seqs(job) == ([1, 0], [2, 1, 3])
+    assert rig_seqs(job) == ([1, 0], [2, 0, 1])
     assert job.score > 60 * np.log(5 / 2)
     assert recognizer.counters["candidates"] == 1
     assert recognizer.counters["indexed"] == 6
@@ -116,7 +117,7 @@ def test_unusable_keyframes_take_no_part(world: Any, log_of: LogOf, kid: Kid) ->
         world.keyframe("b", 2, 7),
         world.keyframe("b", 3, 1),
     ]
-    recognizer = world.recognizer()
+    recognizer = world.recognizer(LoopSolverConfig(kinds=("orb",)))
     found = jobs_by_entry(recognizer, log_of(keyframes))
     (job,) = [job for jobs in found for job in jobs]
     assert pairs([job]) == [(kid("b", 3), kid("a", 1))]
@@ -135,7 +136,7 @@ def test_a_gap_is_only_passed_over(world: Any, kid: Kid) -> None:
 def test_rigs_that_share_a_keyframe_are_no_loop(world: Any, log_of: LogOf) -> None:
     # A hole in the session: the candidate's successor is the query's predecessor.
     visits: list[Visit] = [*walk("d", [9, 10, 11]), ("a", 0, 0), ("a", 30, 5), ("a", 31, 0)]
-    recognizer = world.recognizer(min_loop_keyframes=20)
+    recognizer = world.recognizer(LoopSolverConfig(profile="paper"), min_loop_keyframes=20)
     assert not any(jobs_by_entry(recognizer, log(world, log_of, visits)))
     assert recognizer.counters["skipped.overlap"] == 1
 
@@ -172,12 +173,23 @@ def test_tf_idf_with_a_threshold_for_votes_is_refused(world: Any) -> None:
         world.recognizer(score="tf_idf", min_score=10.0)
 
 
-def test_a_missing_or_broken_vocabulary_is_a_config_error(tmp_path: Any) -> None:
-    with pytest.raises(ConfigError, match="vocabulary"):
-        load_vocabulary(tmp_path / "nowhere.bin")
+@pytest.mark.parametrize("kind", ["orb", "sift"])
+def test_a_missing_or_broken_vocabulary_is_a_config_error(tmp_path: Any, kind: FeatureKind) -> None:
     (tmp_path / "broken.bin").write_bytes(b"no vocabulary")
-    with pytest.raises(ConfigError, match="vocabulary"):
-        load_vocabulary(tmp_path / "broken.bin")
+    for path in (tmp_path / "nowhere.bin", tmp_path / "broken.bin"):
+        values = {"vocabulary": path, "sift": {"vocabulary": path}}
+        with pytest.raises(ConfigError, match="vocabulary"):
+            load_vocabulary(PlaceRecognitionConfig.model_validate(values), kind)
+
+
+def test_a_vocabulary_of_the_other_kind_is_a_config_error() -> None:
+    config = PlaceRecognitionConfig()
+    swapped = {"vocabulary": config.sift.vocabulary, "sift": {"vocabulary": config.vocabulary}}
+    values = PlaceRecognitionConfig.model_validate(swapped)
+    with pytest.raises(ConfigError, match="128-byte descriptors"):
+        load_vocabulary(values, "orb")
+    with pytest.raises(ConfigError, match="32-byte descriptors"):
+        load_vocabulary(values, "sift")
 
 
 def test_ranking() -> None:
@@ -185,7 +197,8 @@ def test_ranking() -> None:
         values = {"min_score": 1.0, "min_score_ratio": 0.0, "num_candidates": 9, **options}
         config = PlaceRecognitionConfig.model_validate(values)
         array = np.array(scores, dtype=np.float32)
-        return best(array, np.array(mask or [True] * len(scores), dtype=bool), config)
+        eligible = np.array(mask or [True] * len(scores), dtype=bool)
+        return best(array, eligible, config, config.min_score)
 
     assert rank([]) == []
     assert rank([3, 5, 5, 4]) == [1, 2, 3, 0]
@@ -208,6 +221,7 @@ def logs(draw: st.DrawFn) -> list[Visit]:
     return draw(st.permutations(visits))
 
 
+@settings(deadline=None)
 @given(logs(), st.integers(0, 24))
 def test_jobs_are_a_function_of_the_log_so_far(
     world: Any, log_of: LogOf, describe: Describe, visits: list[Visit], cut: int
@@ -219,6 +233,7 @@ def test_jobs_are_a_function_of_the_log_so_far(
     assert [describe(jobs) for jobs in again] == [describe(jobs) for jobs in found[:cut]]
 
 
+@settings(deadline=None)
 @given(logs())
 def test_every_job_is_well_formed(world: Any, log_of: LogOf, visits: list[Visit]) -> None:
     seen: set[KeyframeId] = set()

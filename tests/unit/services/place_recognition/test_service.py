@@ -14,10 +14,22 @@ from hypothesis import strategies as st
 from covinz import codec
 from covinz.bus import Query
 from covinz.config import Config, PlaceRecognitionConfig
+from covinz.keyframes import CameraNotFound, KeyframeNotFound
 from covinz.log_follower import LogReset
 from covinz.memory_bus import Hub
 from covinz.service import Inbox, StatusRequest
-from covinz.types import Keyframe, LeaseRequest, LogEntry, LogPage, LoopJob, Rejection, Status
+from covinz.types import (
+    Camera,
+    Keyframe,
+    KeyframeId,
+    LeaseRequest,
+    LogEntry,
+    LogPage,
+    LoopJob,
+    Rejection,
+    Status,
+)
+from services.place_recognition.calibrations import Calibrations
 from services.place_recognition.desk import Desk, LeaseAsked
 from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
@@ -35,6 +47,16 @@ VISITS = [
     *(("b", seq, place) for seq, place in enumerate([8, 4, 2, 9])),
     *(("c", seq, place) for seq, place in enumerate([1, 9, 5, 3])),
 ]
+
+
+class NoCameras:
+    """A store that has nothing."""
+
+    def keyframe(self, keyframe_id: KeyframeId) -> Keyframe:
+        raise KeyframeNotFound(f"no keyframe {keyframe_id}")
+
+    def camera(self, camera_hash: str) -> Camera:
+        raise CameraNotFound(f"no camera {camera_hash}")
 
 
 class Question:
@@ -70,7 +92,7 @@ class Process:
             world.recognizer,
             self.dispatcher,
             Desk(self.dispatcher, journal, bus),
-            PageGate(self.inbox),
+            PageGate(self.inbox, Calibrations(NoCameras())),
             clock_s=lambda: 0.0,
         )
 
@@ -218,7 +240,7 @@ def test_jobs_and_outcomes_do_not_depend_on_crashes_or_order_of_completion(
 
 def test_the_follower_is_held_back_after_two_pages(entries: list[LogEntry]) -> None:
     inbox = Inbox()
-    gate = PageGate(inbox)
+    gate = PageGate(inbox, Calibrations(NoCameras()))
     delivered = threading.Semaphore(0)
 
     def follow() -> None:
@@ -242,6 +264,6 @@ def test_the_follower_is_held_back_after_two_pages(entries: list[LogEntry]) -> N
 
 
 def test_the_shipped_vocabulary_works_with_the_defaults(world: Any) -> None:
-    recognizer = recognizer_factory(Config())()
+    recognizer = recognizer_factory(Config(), {}.get)()
     assert recognizer.process(LogEntry(0, world.keyframe("a", 0, 0))) == []
     assert recognizer.counters["indexed"] == 1

@@ -1,48 +1,12 @@
-// Distances by the instructions that SSE4.2 and AVX2 share. The file that includes this defines, on
-// its vectors of COVINZ_LANES groups: LookUpBytes in a table of 16, SumBytes of each group, and
-// MultiplyAddHalves, the dot product of each group's two 16-bit integers. All here is internal to
-// that file.
+// Distances of numbers by the instructions that SSE4.2 and AVX2 share. The file that includes this
+// defines, on its vectors of COVINZ_LANES groups, MultiplyAddHalves: the dot product of each
+// group's two 16-bit integers. All here is internal to that file.
 #pragma once
 
 #include "match_scan.h"
 
 namespace covinz {
 namespace {
-
-// Set bits of each byte, looked up by half bytes.
-COVINZ_INLINE UnsignedLanes ByteCounts(UnsignedLanes x) {
-  const uint8_t counts[16] = {0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4};
-  // No byte overflows, so whole groups may be added.
-  return LookUpBytes(counts, x & 0x0f0f0f0fu) + LookUpBytes(counts, x >> 4 & 0x0f0f0f0fu);
-}
-
-template <size_t kRows>
-class HammingDistances {
- public:
-  HammingDistances(const MatchTile& tile, size_t row)
-      : cand_(tile.cand), rows_(GroupsFrom(tile.query, row)), key_shift_(tile.key_shift) {}
-
-  __attribute__((always_inline)) void Keys(size_t cand, Lanes* keys) const {
-    const uint32_t* columns = GroupsFrom(cand_, cand);
-    for (size_t r = 0; r < kRows; ++r) {
-      UnsignedLanes bits = {};
-      for (size_t step = 0; step < cand_.num_groups; step += kStepGroups) {
-        UnsignedLanes bytes = {};
-        for (size_t g = 0; g < kStepGroups; ++g) {
-          const size_t at = (step + g) * kBlockLanes;
-          bytes += ByteCounts(Load<UnsignedLanes>(columns + at) ^ rows_[at + r]);
-        }
-        bits += SumBytes(bytes);
-      }
-      keys[r] = reinterpret_cast<Lanes>(bits << key_shift_);
-    }
-  }
-
- private:
-  PackedView cand_;
-  const uint32_t* rows_;
-  int key_shift_;
-};
 
 // Even and odd bytes as 16-bit integers, whose products are added in pairs without overflow.
 struct EvenOdd {

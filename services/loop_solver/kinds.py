@@ -1,0 +1,50 @@
+"""Which kind of feature a job is solved with: one that all keyframes of both rigs have.
+
+Keyframes of two kinds are matched by one of them, not by both: a point that two detectors find
+is not two measurements, and would count twice for the inliers asked for and for the covariance.
+
+Source: decision 0022.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from covinz.config import FeatureKind
+from covinz.keyframes import KeyframeStore
+from covinz.types import FeatureType, LoopJob, RigMember
+
+
+class NoSharedKind(ValueError):
+    """The two sides of a job have no kind of feature in common that the solver may use."""
+
+
+def shared_kind(
+    job: LoopJob, store: KeyframeStore, preferred: Sequence[FeatureKind]
+) -> FeatureType:
+    """The first of the preferred kinds that every keyframe of both rigs has.
+
+    Raises:
+        NoSharedKind: If there is none; the message says what each side has.
+        KeyframeNotFound, StoreUnavailable: From the store.
+    """
+    query, cand = _of_all(job.query_rig, store), _of_all(job.cand_rig, store)
+    for name in preferred:
+        kind = FeatureType[name.upper()]
+        if kind in query and kind in cand:
+            return kind
+    raise NoSharedKind(
+        f"all keyframes of the query's rig have {_names(query)}, of the candidate's {_names(cand)}"
+        f"; in use: {', '.join(preferred)}"
+    )
+
+
+def _of_all(members: Sequence[RigMember], store: KeyframeStore) -> set[FeatureType]:
+    """Kinds that all keyframes of a rig have."""
+    return set.intersection(
+        *({block.type for block in store.keyframe(m.keyframe).all_features} for m in members)
+    )
+
+
+def _names(kinds: set[FeatureType]) -> str:
+    return ", ".join(sorted(kind.name.lower() for kind in kinds)) or "no kind in common"

@@ -1,0 +1,51 @@
+"""What a session's odometry said, keyframe by keyframe, of all that are logged."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+
+from covinz.config import OdometryNoise
+from covinz.odometry import motion_covariance
+from covinz.types import Array, Keyframe
+
+
+class OdometryPath:
+    """Poses and covariances of a session in order of `seq`, whatever the order of arrival.
+
+    Keyframes that take no part in place recognition are steps of the path all the same.
+    """
+
+    def __init__(self) -> None:
+        self._seqs: list[int] = []
+        self._keyframes: list[tuple[Array, Array | None]] = []
+
+    def __len__(self) -> int:
+        return len(self._seqs)
+
+    def insert(self, kf: Keyframe) -> None:
+        """Add a keyframe; raises ValueError when it is there already."""
+        at = bisect_left(self._seqs, kf.id.seq)
+        if kf.id.seq in self._seqs[at : at + 1]:
+            raise ValueError(f"{kf.id} is logged twice")
+        self._seqs.insert(at, kf.id.seq)
+        self._keyframes.insert(at, (kf.T_odom_body, kf.covariance))
+
+    def num_after(self, seq: int) -> int:
+        """How many logged keyframes follow on one."""
+        return len(self._seqs) - bisect_right(self._seqs, seq)
+
+    def covariance(self, first: int, last: int, noise: OdometryNoise) -> Array:
+        """(6, 6) covariance of the motion between two logged keyframes, in the later body frame.
+
+        A step over keyframes that are missing has none of the robot's: that speaks of the motion
+        since seq - 1 only.
+        """
+        begin, end = bisect_left(self._seqs, first), bisect_right(self._seqs, last)
+        seqs, keyframes = self._seqs[begin:end], self._keyframes[begin:end]
+        sent = [
+            covariance if seq == before + 1 else None
+            for before, seq, (_, covariance) in zip(seqs[:-1], seqs[1:], keyframes[1:], strict=True)
+        ]
+        return motion_covariance(np.stack([T for T, _ in keyframes]), sent, noise)
