@@ -1,3 +1,4 @@
+// Steps, their lengths and their damping.
 #include "levenberg_marquardt.h"
 
 #include <algorithm>
@@ -7,8 +8,7 @@
 namespace covinz {
 namespace {
 
-// Pose graphs start near enough for steps that are all but Gauss-Newton's: [Ceres takes 1e-4, which
-// costs an iteration more].
+// Pose graphs start near enough for steps that are all but Gauss-Newton's.
 constexpr double kInitialDamping = 1e-6;
 constexpr double kLeastDamping = 1e-12;
 // Bounds of the Hessian's diagonal, as a scale for the damping. [Ceres]
