@@ -58,6 +58,7 @@ RUN apt-get update -qq \
       libopencv-core406 libopencv-features2d406 libopengv1 tini \
  && rm -rf /var/lib/apt/lists/* /tmp/no-gl.deb \
  && useradd --uid 10001 --home-dir /app --no-create-home --shell /usr/sbin/nologin covinz \
+ && install -d -o covinz -g covinz -m 700 /roster \
  && install -d -o covinz -g covinz /data
 
 COPY --from=build /opt/covinz /opt/covinz
@@ -73,6 +74,7 @@ RUN python -c "import covinz.cli, covinz_core, services.place_recognition.servic
 
 USER covinz
 EXPOSE 7447
+EXPOSE 7447/udp
 ENTRYPOINT ["tini", "--"]
 # The whole server in one container; compose runs one process in each instead.
 CMD ["covinz", "up", "--data", "/data"]

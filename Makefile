@@ -1,4 +1,4 @@
-# Targets: setup check test lint bench results results-loops demo schemas vocabulary. All but `setup` run it first.
+# Targets: setup check test lint bench simulate results results-loops demo schemas vocabulary. All but `setup` run it first.
 
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +13,7 @@ PYTHON_DIRS := covinz services agents/covinz_agents benchmarks scripts tests voc
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: setup check test lint bench results results-loops demo schemas vocabulary core-tests core-sanitize clean
+.PHONY: setup check test lint simulate bench results results-loops demo schemas vocabulary core-tests core-sanitize clean
 
 setup: $(STAMPS)/apt $(STAMPS)/venv $(STAMPS)/core $(STAMPS)/packages
 
@@ -71,6 +71,13 @@ core-sanitize: setup
 	cmake -S core -B core/build/sanitize -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF -DCOVINZ_SANITIZE=ON >/dev/null
 	cmake --build core/build/sanitize -j $(JOBS)
 	ctest --test-dir core/build/sanitize --output-on-failure -j $(JOBS)
+
+# The deterministic simulation of faults: docs/testing.md. One seed in full: make simulate SEED=17
+SEEDS ?= 1000
+FIRST ?= 0
+
+simulate: setup
+	$(BIN)/python -m tests.simulation $(if $(SEED),--seed $(SEED),--seeds $(SEEDS) --first $(FIRST))
 
 BENCHMARKS := scenarios demo map_floor loop_geometry matching place_recognition map_from_scratch pose_graph cauchy_scale
 

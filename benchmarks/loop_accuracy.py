@@ -12,8 +12,8 @@ under each profile, motions and options the worker's own.
   which have little or nothing in common; a loop that is found all the same may be right.
 - `elsewhere`: random pairs of `redkitchen` with `fr1_rpy`, another building: every loop is wrong.
 - `fr1_rpy`: real images of a camera that only turns, odometry true but for stated drift; the
-  attempts that place recognition makes, of which `paper` and `pnp` make every third.
-- `hall`: rendered images, exact truth; the attempts that place recognition makes.
+  attempts that place recognition makes, of which `paper` and `pnp` make up to 300, evenly spread.
+- `hall`: rendered images, exact truth; attempts likewise.
 
 `nees_mean` judges the covariance that a method gives: sampled by `paper`, of the adjustment with
 the noise as its residuals show it by `fast`; `nees_analytic_mean` the latter's inverse Hessian

@@ -217,8 +217,8 @@ def brief(synthetic: Report, accuracy: Report) -> str:
             continue
         found = of(accuracy[name], "pnp")
         rows += [
-            [f"{_SCENARIOS[name]}: accepted (wrong) of {found[1]['jobs']}"]
-            + [f"{m['accepted']} ({m['wrong']})" for m in found],
+            [f"{_SCENARIOS[name]}: accepted (wrong) of attempts"]
+            + [f"{m['accepted']} ({m['wrong']}) of {m['jobs']}" for m in found],
             ["the same: error, median"]
             + [pose_error(m["t_err_median_m"], m["r_err_median_deg"]) for m in found],
             ["the same: mean NEES"] + [number(m["nees_mean"]) for m in found],

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
 from covinz import codec, keyexprs
+from covinz.access.credentials import SUFFIX, agent_bus
 from covinz.bus import Bus, ZenohBus
-from covinz.config import Config
+from covinz.config import BusConfig, Config
 from covinz.corrections import CorrectionFeed
 from covinz.frames import is_rigid
 from covinz.machine import THIS_MACHINE, Machine
@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 class Agent:
     """A robot in the shared map.
 
-        with Agent("a1", "tcp/server:7447", "a1.spool") as agent:
+        with Agent("a1", "a1.covinz", "a1.spool") as agent:
             for content in frontend.keyframes():
                 agent.send(content)
 
@@ -45,16 +45,20 @@ class Agent:
 
     Args:
         agent_id: Name of the robot, ``[a-z0-9][a-z0-9_-]{0,31}``; the same at every start.
-        bus: A bus, which stays the caller's, or the endpoint of the server's router.
+        bus: Way to the server: the file ``NAME.covinz`` that ``covinz roster add`` wrote there, or
+            the endpoint of its router, or a bus, which stays the caller's.
         spool: SQLite file on a disk of the robot.
         config: Configuration; its sections `bus` and `agent` count.
         session: ULID of this run of the odometry; a new one by default.
         on_correction: Called with the latest correction whenever there is a new one, always from
             one thread.
         on_rejected: Called when the server refused a keyframe for good, from an upload thread.
+        credentials: File ``NAME.covinz`` for an endpoint that is not the one in it, e.g. QUIC's.
         machine: Clock, chance and threads.
 
     Raises:
+        CredentialsError: If the credentials cannot be read, are another robot's or have expired.
+        BusError: If the endpoint is malformed, or needs credentials.
         ValueError: If a name is malformed.
         SpoolError: If the spool cannot be used, e.g. since another process does.
     """
@@ -62,12 +66,13 @@ class Agent:
     def __init__(
         self,
         agent_id: str,
-        bus: Bus | str,
+        bus: Bus | Path | str,
         spool: Path | str,
         config: Config | None = None,
         session: str | None = None,
         on_correction: Callable[[Correction], None] | None = None,
         on_rejected: Callable[[KeyframeId, Rejected], None] | None = None,
+        credentials: Path | str | None = None,
         machine: Machine = THIS_MACHINE,
     ) -> None:
         if not AGENT_PATTERN.fullmatch(agent_id):
@@ -77,12 +82,14 @@ class Agent:
         self._machine = machine
         self._session = _session(session, machine)
         self._on_rejected = on_rejected
-        self._sending = threading.Lock()  # session and sequence number go together
+        self._sending = machine.lock()  # session and sequence number go together
         self._closed = False
+        way = _way(agent_id, bus, credentials, self._config)
         with ExitStack() as undo:
             self._spool = Spool(Path(spool), agent_id, self._config.agent.max_spool_bytes)
             undo.callback(self._spool.close)
-            self._bus, self._own_bus = _bus(bus, self._config)
+            self._own_bus = isinstance(way, BusConfig)
+            self._bus: Bus = ZenohBus.open(way) if isinstance(way, BusConfig) else way
             if self._own_bus:
                 undo.callback(self._bus.close)
             self._uploader = Uploader(
@@ -211,11 +218,17 @@ def _session(session: str | None, machine: Machine) -> str:
     return session
 
 
-def _bus(bus: Bus | str, config: Config) -> tuple[Bus, bool]:
-    """The bus to use, and whether it is ours to close."""
-    if isinstance(bus, str):
-        return ZenohBus.open(config.bus.model_copy(update={"endpoint": bus})), True
-    return bus, False
+def _way(
+    agent_id: str, bus: Bus | Path | str, file: Path | str | None, config: Config
+) -> Bus | BusConfig:
+    """The caller's bus, or how to open one."""
+    if not isinstance(bus, Path | str):
+        return bus
+    if isinstance(bus, Path) or bus.endswith(SUFFIX):
+        return agent_bus(agent_id, config.bus, Path(bus))
+    if file is not None:
+        return agent_bus(agent_id, config.bus, Path(file), bus)
+    return config.bus.model_copy(update={"endpoint": bus})
 
 
 def _keyframe(name: KeyframeId, content: KeyframeContent) -> Keyframe:

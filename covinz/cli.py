@@ -32,7 +32,11 @@ from covinz import (
     supervisor,
     trajectory,
 )
-from covinz.bus import Bus, BusError, ZenohBus, open_router
+from covinz.access import commands as roster_commands
+from covinz.access.credentials import with_credentials
+from covinz.access.roster import FOLDER
+from covinz.access.server import server_bus
+from covinz.bus import Bus, BusError, ZenohBus, open_router, why_not
 from covinz.candidates import (
     LOOP,
     Candidate,
@@ -50,6 +54,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+app.add_typer(roster_commands.app, name="roster")
 console = Console()
 errors = Console(stderr=True)
 
@@ -57,21 +62,38 @@ ConfigFile = Annotated[
     Path | None, typer.Option("--config", help="YAML file with settings that differ.", exists=True)
 ]
 Endpoint = Annotated[
-    str, typer.Option(help="Where the router listens.", envvar="COVINZ__BUS__ENDPOINT")
+    str | None,
+    typer.Option(
+        help=f"Where the router listens [{config.BusConfig().endpoint}].",
+        envvar="COVINZ__BUS__ENDPOINT",
+    ),
+]
+CredentialsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--credentials",
+        help="NAME.covinz of an operator; the server's own is DATA/roster/server.covinz.",
+        envvar="COVINZ__BUS__CREDENTIALS",
+    ),
 ]
 CONNECT_TIMEOUT_S = 3.0
-DEFAULT_ENDPOINT = config.BusConfig().endpoint
 
 
 @app.command()
 def up(
     workers: Annotated[int, typer.Option(min=1, help="Loop-solver processes.")] = 1,
     data: Annotated[Path, typer.Option(help="Where the server keeps its files.")] = Path("data"),
+    listen: Annotated[
+        str | None,
+        typer.Option(help="Address of this machine where the robots of the roster connect."),
+    ] = None,
     config_file: ConfigFile = None,
 ) -> None:
     """Start the server: router, ingest, place recognition, loop solvers, optimizer."""
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     settings = config.load(config_file)
+    bus = server_bus(settings.bus, data / FOLDER, listen)
+    settings = settings.model_copy(update={"bus": bus})
     # What makes a server impossible is said here, once; its processes would be restarted for ever.
     open_router(settings.bus).close()
     durable.claim(data / "server")
@@ -80,7 +102,8 @@ def up(
     specs = supervisor.server_specs(written.resolve(), data.resolve(), workers)
     stop = stop_event()
     with supervisor.Supervisor(specs, pid_file=data / "processes.json"):
-        _say(f"covinz listens on {settings.bus.endpoint} ({workers} loop solvers)")
+        where = ", ".join(bus.listen or [bus.endpoint])
+        _say(f"covinz listens on {where} ({workers} loop solvers)")
         _say(f"data in {data.resolve()}, Ctrl-C stops it")
         stop.wait()
         _say("stopping")
@@ -117,12 +140,12 @@ def run_scenario(
 
 
 @app.command()
-def status(endpoint: Endpoint = DEFAULT_ENDPOINT) -> None:
+def status(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> None:
     """Show how far every process of a running server is."""
-    with _connected(endpoint) as bus:
+    with _connected(endpoint, credentials) as bus:
         found = client.statuses(bus)
         if not found:
-            raise client.ServerUnavailable(f"no covinz process answers at {endpoint}")
+            raise client.ServerUnavailable("the router is there, but no process answers")
         now = client.progress(bus)
     table = Table("process", "cursor", "pending", "leased", "dirty", box=box.SIMPLE_HEAD)
     for item in found:
@@ -142,13 +165,14 @@ def why(
     folder: Annotated[
         Path | None, typer.Option("--run", help="Ask a finished run's folder, not a server.")
     ] = None,
-    endpoint: Endpoint = DEFAULT_ENDPOINT,
+    endpoint: Endpoint = None,
+    credentials: CredentialsFile = None,
 ) -> None:
     """Say for a keyframe which candidates it had and why each did or did not become a loop."""
     if folder is not None:
         found = read_candidates(folder / "candidates.csv")
     else:
-        with _connected(endpoint) as bus:
+        with _connected(endpoint, credentials) as bus:
             found = candidates(client.jobs(bus))
     rows = [row for row in found if row.concerns(keyframe)]
     if not rows:
@@ -177,10 +201,11 @@ def _why_table(rows: Sequence[Candidate]) -> Table:
 @app.command("export")
 def export_maps(
     out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("export"),
-    endpoint: Endpoint = DEFAULT_ENDPOINT,
+    endpoint: Endpoint = None,
+    credentials: CredentialsFile = None,
 ) -> None:
     """Write the maps of a running server: TUM trajectories per agent and one g2o file a map."""
-    with _connected(endpoint) as bus:
+    with _connected(endpoint, credentials) as bus:
         snapshots = client.snapshots(bus)
     for file in export.write_maps(out, snapshots):
         _say(str(file))
@@ -195,12 +220,13 @@ def report_server(
     out: Annotated[
         Path | None, typer.Option(help="Folder for report and pictures; without, as for run.")
     ] = None,
-    endpoint: Endpoint = DEFAULT_ENDPOINT,
+    endpoint: Endpoint = None,
+    credentials: CredentialsFile = None,
     config_file: ConfigFile = None,
 ) -> None:
     """Evaluate a running server once it is idle, after robots were played from elsewhere."""
     settings = config.load(config_file)
-    with _connected(endpoint) as bus:
+    with _connected(endpoint, credentials) as bus:
         result = server_report.report_server(bus, scenario, played, out, settings)
     summary.show(console, result.report, result.folder, result.files)
 
@@ -239,11 +265,16 @@ def _leave(number: int, _: FrameType | None) -> None:
 
 
 @contextmanager
-def _connected(endpoint: str) -> Iterator[Bus]:
-    bus = ZenohBus.open(config.BusConfig(endpoint=endpoint))
+def _connected(endpoint: str | None, credentials: Path | None) -> Iterator[Bus]:
+    settings = config.BusConfig()
+    if endpoint is not None:
+        settings = settings.model_copy(update={"endpoint": endpoint})
+    if credentials is not None:
+        settings = with_credentials(settings, credentials, endpoint)
+    bus = ZenohBus.open(settings)
     try:
         if not bus.wait_connected(CONNECT_TIMEOUT_S):
-            raise client.ServerUnavailable(f"nobody listens at {endpoint}; is the server up?")
+            raise client.ServerUnavailable(f"no way to {settings.endpoint}: {why_not(settings)}")
         yield bus
     finally:
         bus.close()

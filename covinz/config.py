@@ -44,8 +44,17 @@ class Section(BaseModel):
 class BusConfig(Section):
     """The Zenoh session of every process."""
 
-    # Where the router listens and everyone else connects.
+    # Where everyone connects: tcp/, tls/ or quic/ and host:port.
     endpoint: str = "tcp/127.0.0.1:7447"
+    # Where the router listens; empty: at `endpoint`. Beyond this machine only with TLS or QUIC.
+    listen: tuple[str, ...] = ()
+    # The file NAME.covinz that `covinz roster add` wrote; TLS and QUIC need it. [decision 0024]
+    credentials: Path | None = None
+    # Folder of the roster: whom the router lets in. None: everybody who can connect.
+    roster: Path | None = None
+    # The router may listen beyond this machine without encryption: whoever reaches it can send as
+    # any robot and read every map. Only for a network that nobody else is on, as in Compose.
+    insecure: bool = False
     # Larger messages are refused by the transport. [decision 0002]
     max_message_bytes: PositiveInt = 16 * 1024 * 1024
     # A query without an answer fails after this long. [s]
@@ -88,8 +97,8 @@ class RigConfig(Section):
     # robots see, since of a distant scene they share more. [m; generated problems: 2 to 15 m]
     depth_m: Positive = 2.0
     # Change of a point's viewing direction [rad], or of the logarithm of its distance, that costs
-    # half of the matches. [20 degrees, and two levels of ORB's pyramid; Mikolajczyk and Schmid, "A
-    # performance evaluation of local descriptors", 2005]
+    # half of the matches. [20 degrees, and two levels of ORB's pyramid; order of magnitude as in
+    # Mikolajczyk and Schmid, "A performance evaluation of local descriptors", PAMI 2005]
     half_view_change: Positive = 0.35
     # Cameras in whose view less than this part of the reference's view is form no rig with it if
     # there are better ones.

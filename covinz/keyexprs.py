@@ -11,6 +11,8 @@ AGENT_KEYFRAMES = "covinz/agent/*/up/keyframe"
 AGENT_CAMERAS = "covinz/agent/*/up/camera"
 AGENT_CORRECTIONS = "covinz/agent/*/down/correction"
 AGENTS_ALIVE = "covinz/agent/*/alive"
+# What the server answers of robots, as its processes declare it and in general.
+AGENTS_ANSWERED = ("covinz/agent/*/up/*", "covinz/agent/*/down/*")
 LOG_HEAD = "covinz/log/head"
 LOG_RANGE = "covinz/log/range"
 KEYFRAMES = "covinz/keyframe/*/*/*"
@@ -25,6 +27,16 @@ MAP_LIST = "covinz/map/list"
 MAP_SNAPSHOTS = "covinz/map/snapshot/*"
 SERVICES_ALIVE = "covinz/service/*/*/alive"
 SERVICES_STATUS = "covinz/service/*/*/status"
+
+
+def agent_up(agent: str) -> str:
+    """Everything that an agent sends."""
+    return f"covinz/agent/{agent}/up/**"
+
+
+def agent_down(agent: str) -> str:
+    """Everything that is sent to an agent."""
+    return f"covinz/agent/{agent}/down/**"
 
 
 def agent_keyframe(agent: str) -> str:

@@ -90,6 +90,7 @@ void BindFastLoopOptions(nb::module_& m) {
       .def_rw("max_num_trial_iterations", &FastLoopOptions::max_num_trial_iterations)
       .def_rw("min_num_inliers", &FastLoopOptions::min_num_inliers)
       .def_rw("min_baseline_m", &FastLoopOptions::min_baseline_m)
+      .def_rw("min_baseline_sigmas", &FastLoopOptions::min_baseline_sigmas)
       .def_rw("max_sigma_translation_m", &FastLoopOptions::max_sigma_translation_m)
       .def_rw("max_translation_m", &FastLoopOptions::max_translation_m)
       .def_rw("max_rotation_rad", &FastLoopOptions::max_rotation_rad)

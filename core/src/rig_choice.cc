@@ -84,6 +84,17 @@ bool IsHopeless(const LoopProblem& problem,
          2.0 * options.selection.min_significance;
 }
 
+// On its way to an optimum that is known.
+bool IsKnown(const RigSolution& trial,
+             const Solutions& contenders,
+             const FastLoopOptions& options) {
+  return std::any_of(contenders.begin(), contenders.end(),
+                     [&trial, &options](const RigSolution& contender) {
+                       return AreEqual(contender.refinement.T_cand_query,
+                                       trial.refinement.T_cand_query, options.selection);
+                     });
+}
+
 // Hypotheses of a sampling of its own that does not stop early.
 std::vector<RigHypothesis> SampleOn(const LoopProblem& problem, const FastLoopOptions& options) {
   RigHypothesisOptions sampling = options.hypotheses;
@@ -138,12 +149,7 @@ std::vector<RigSolution> FindContenders(const LoopProblem& problem,
     const bool clearly_behind =
         Significance(problem.matched.rigs, trials[0].score, trial.score, options.selection) >=
         options.selection.min_significance;
-    const bool known = std::any_of(
-        contenders.begin(), contenders.end(), [&trial, &options](const RigSolution& contender) {
-          return AreEqual(contender.refinement.T_cand_query, trial.refinement.T_cand_query,
-                          options.selection);
-        });
-    if (clearly_behind || known) continue;
+    if (clearly_behind || IsKnown(trial, contenders, options)) continue;
     contenders.push_back(RefineToTheEnd(problem, trial, options));
   }
   SortByCost(contenders);
@@ -175,15 +181,17 @@ std::optional<Rival> FindRival(const LoopProblem& problem,
 std::vector<RigSolution> SearchOn(const LoopProblem& problem,
                                   std::vector<RigSolution> contenders,
                                   const FastLoopOptions& options) {
-  for (const RigHypothesis& hypothesis : SampleOn(problem, options)) {
-    const RigSolution trial =
-        RefineTrial(problem, hypothesis.inliers, hypothesis.T_cand_query, options);
-    if (IsHopeless(problem, contenders[0], trial, options)) continue;
+  const auto follow = [&](const RigSolution& trial) {
+    if (IsKnown(trial, contenders, options) || IsHopeless(problem, contenders[0], trial, options)) {
+      return;
+    }
     Insert(RefineToTheEnd(problem, trial, options), options, contenders);
+  };
+  for (const RigHypothesis& hypothesis : SampleOn(problem, options)) {
+    follow(RefineTrial(problem, hypothesis.inliers, hypothesis.T_cand_query, options));
   }
   for (const RigPoses& start : AlongTheValley(problem, contenders[0], options)) {
-    Insert(RefineToTheEnd(problem, start, contenders[0].score.inliers, options), options,
-           contenders);
+    follow(RefineTrial(problem, contenders[0].score.inliers, start, options));
   }
   Solutions kept = {contenders[0]};
   for (size_t i = 1; i < contenders.size(); ++i) {

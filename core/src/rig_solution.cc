@@ -63,12 +63,20 @@ double DepthSigma_px(const LoopProblem& problem, const RigRefinementOptions& opt
 
 RigSolution RefineTrial(const LoopProblem& problem,
                         const std::vector<std::vector<int>>& inliers,
-                        const Eigen::Isometry3d& T_cand_query,
+                        const RigPoses& start,
                         const FastLoopOptions& options) {
   const Effort effort{options.max_num_trial_tracks, options.max_num_trial_iterations,
                       DepthSigma_px(problem, options.refinement)};
-  return Refine(problem, {problem.cand.T_rig_cam, problem.query.T_rig_cam, T_cand_query}, inliers,
-                effort, options);
+  return Refine(problem, start, inliers, effort, options);
+}
+
+RigSolution RefineTrial(const LoopProblem& problem,
+                        const std::vector<std::vector<int>>& inliers,
+                        const Eigen::Isometry3d& T_cand_query,
+                        const FastLoopOptions& options) {
+  return RefineTrial(problem, inliers,
+                     RigPoses{problem.cand.T_rig_cam, problem.query.T_rig_cam, T_cand_query},
+                     options);
 }
 
 RigSolution RefineToTheEnd(const LoopProblem& problem,

@@ -36,6 +36,11 @@ RigSolution RefineTrial(const LoopProblem& problem,
                         const std::vector<std::vector<int>>& inliers,
                         const Eigen::Isometry3d& T_cand_query,
                         const FastLoopOptions& options);
+// Likewise, from the given poses.
+RigSolution RefineTrial(const LoopProblem& problem,
+                        const std::vector<std::vector<int>>& inliers,
+                        const RigPoses& start,
+                        const FastLoopOptions& options);
 
 // From the given poses over the given inliers, then each time over all matches that the last
 // refinement explains, until the adjustment has converged and these hardly grow any more: rigs that

@@ -1,6 +1,7 @@
 // Matching, hypotheses, refinement, selection, covariance: the fast profile as one pipeline.
 #include "covinz/solve_loop_fast.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -87,6 +88,22 @@ LoopEstimate MakeEstimate(const LoopProblem& problem,
   return loop;
 }
 
+// The longest motion within a rig, in standard deviations of what odometry says about it: one that
+// cannot be told from none says nothing about the scale.
+double LongestBaselineSigmas(const LoopProblem& problem) {
+  double longest = 0.0;
+  for (const RefinedRig* rig : {&problem.cand, &problem.query}) {
+    for (const RigMotion& motion : rig->motions) {
+      const Eigen::Vector3d t = (rig->T_rig_cam[static_cast<size_t>(motion.from)].inverse() *
+                                 rig->T_rig_cam[static_cast<size_t>(motion.to)])
+                                    .translation();
+      const Eigen::Matrix3d covariance = motion.covariance.bottomRightCorner<3, 3>();
+      longest = std::max(longest, std::sqrt(t.dot(covariance.llt().solve(t))));
+    }
+  }
+  return longest;
+}
+
 LoopResult Estimate(const LoopProblem& problem, const FastLoopOptions& options, StageClock& clock) {
   const double min_num_inliers = static_cast<double>(options.min_num_inliers);
   clock.Start("hypotheses");
@@ -94,6 +111,11 @@ LoopResult Estimate(const LoopProblem& problem, const FastLoopOptions& options, 
       EstimateRigHypotheses(problem.matched.rigs, options.hypotheses, options.seed);
   clock.Start("refinement");
   std::vector<RigSolution> solutions = FindContenders(problem, hypotheses, options);
+  const double baseline_sigmas = LongestBaselineSigmas(problem);
+  if (!solutions.empty() && solutions[0].score.num_inliers >= options.min_num_inliers &&
+      baseline_sigmas < options.min_baseline_sigmas) {
+    return LoopRejection{"scale", std::nullopt, baseline_sigmas, options.min_baseline_sigmas};
+  }
   // A search finds better optima, not twice as many inliers.
   if (!solutions.empty() && 2 * solutions[0].score.num_inliers >= options.min_num_inliers &&
       FindRival(problem, solutions, options)) {
@@ -151,8 +173,8 @@ void FastLoopOptions::Check() const {
   if (!(min_inlier_share >= 0.0 && min_inlier_share <= 1.0)) {
     throw std::invalid_argument("FastLoopOptions.min_inlier_share must be in [0, 1]");
   }
-  if (!(min_baseline_m > 0.0 && max_sigma_translation_m > 0.0 && max_translation_m > 0.0 &&
-        max_rotation_rad > 0.0)) {
+  if (!(min_baseline_m > 0.0 && min_baseline_sigmas >= 0.0 && max_sigma_translation_m > 0.0 &&
+        max_translation_m > 0.0 && max_rotation_rad > 0.0)) {
     throw std::invalid_argument("FastLoopOptions: limits must be positive");
   }
 }

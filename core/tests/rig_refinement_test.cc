@@ -304,6 +304,35 @@ TEST(RefineRigs, MotionResidualsShowWrongOdometry) {
   EXPECT_NEAR(Median(told_half) / Median(told_right), 4.0, 1.5);
 }
 
+TEST(RefineRigs, ContinuesFromPosesThatARefinementLeft) {
+  RefinementProblemOptions problem_options;
+  problem_options.seed = 12;
+  const RefinementProblem problem = MakeRefinementProblem(problem_options);
+  const RigTracks tracks = problem.Tracks(problem.T_cand_query);
+  RigRefinementOptions options;
+  options.max_num_iterations = 30;
+  options.min_relative_decrease = 1e-9;
+  const RigRefinement whole =
+      RefineRigs(problem.cand, problem.query, tracks, problem.T_cand_query, options);
+  options.max_num_iterations = 1;
+  const RigRefinement begun =
+      RefineRigs(problem.cand, problem.query, tracks, problem.T_cand_query, options);
+  options.max_num_iterations = 30;
+  const RigPoses start{begun.T_cand_cam, begun.T_query_cam, begun.T_cand_query};
+  const RigRefinement continued = RefineRigs(problem.cand, problem.query, tracks, start, options);
+  EXPECT_GT(begun.cost, whole.cost);
+  EXPECT_NEAR(continued.cost, whole.cost, 1e-5 * whole.cost);
+  EXPECT_LT(PoseError(whole.T_cand_query, continued.T_cand_query).norm(), 1e-3);
+  // Odometry is what it was: the motion residuals are not of the start.
+  for (size_t m = 0; m < whole.motion_residuals.size(); ++m) {
+    EXPECT_LT((whole.motion_residuals[m] - continued.motion_residuals[m]).norm(), 0.02);
+  }
+  RigPoses missing = start;
+  missing.T_cand_cam.pop_back();
+  EXPECT_THROW(RefineRigs(problem.cand, problem.query, tracks, missing, options),
+               std::invalid_argument);
+}
+
 TEST(RefineRigs, NoTracksLeaveTheStart) {
   const RefinementProblem problem = MakeRefinementProblem(Ordinary(11));
   const CalibratedRefinement result = Refine(problem, MergeTracks({}), problem.T_cand_query, {});

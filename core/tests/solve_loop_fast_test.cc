@@ -169,6 +169,7 @@ TEST(SolveLoopFast, BodiesMayBeAnywhereInTheRigs) {
 }
 
 TEST(SolveLoopFast, RigsThatOnlyTurnNeverGiveAConfidentWrongScale) {
+  int num_without_scale = 0;
   for (uint64_t seed = 0; seed < 20; ++seed) {
     RefinementProblemOptions options = Ordinary(seed);
     options.min_step_m = options.max_step_m = 0.0;
@@ -178,8 +179,36 @@ TEST(SolveLoopFast, RigsThatOnlyTurnNeverGiveAConfidentWrongScale) {
     if (const LoopEstimate* loop = std::get_if<LoopEstimate>(&result)) {
       const Vector6d error = PoseError(problem.T_cand_query, loop->T_cand_query);
       EXPECT_LT(Nees(error, loop->covariance), 30.0) << seed;
+    } else if (std::get<LoopRejection>(result).stage == "scale") {
+      ++num_without_scale;
     }
   }
+  EXPECT_GE(num_without_scale, 15);
+}
+
+TEST(SolveLoopFast, LittleReliefAndErrorsOfRealImagesAreNoAmbiguity) {
+  // One valley, in which the images determine the loop well enough.
+  int num_loops = 0;
+  for (uint64_t seed = 0; seed < 20; ++seed) {
+    RefinementProblemOptions options = Ordinary(seed);
+    options.min_depth_m = 2.0;
+    options.max_depth_m = 3.5;
+    options.min_step_m = 0.1;
+    options.max_step_m = 0.25;
+    options.turn_rad = 0.1;
+    options.max_loop_m = 0.7;
+    options.num_matches = 250;
+    options.outlier_share = 0.4;
+    options.shared_px = 0.5;
+    options.odometry_tail_share = 0.2;
+    const FastProblem problem = MakeFastProblem(options);
+    const LoopResult result = Solve(problem);
+    const LoopEstimate* loop = std::get_if<LoopEstimate>(&result);
+    if (loop == nullptr) continue;
+    ++num_loops;
+    EXPECT_LT(PoseError(problem.T_cand_query, loop->T_cand_query).tail<3>().norm(), 0.2) << seed;
+  }
+  EXPECT_GE(num_loops, 18);
 }
 
 TEST(SolveLoopFast, AlikeSolutionsAreRejectedWithBoth) {
@@ -231,6 +260,7 @@ TEST(SolveLoopFast, EveryLimitRejectsAtItsStage) {
   rejected_at("degenerate", [](FastLoopOptions& o) { o.min_baseline_m = 10.0; });
   rejected_at("matches", [](FastLoopOptions& o) { o.matching.max_distance = 1; });
   rejected_at("rig_inliers", [](FastLoopOptions& o) { o.min_num_inliers = 1200; });
+  rejected_at("scale", [](FastLoopOptions& o) { o.min_baseline_sigmas = 1e4; });
   rejected_at("uncertainty", [](FastLoopOptions& o) { o.max_sigma_translation_m = 1e-5; });
   rejected_at("translation", [](FastLoopOptions& o) { o.max_translation_m = 0.01; });
   rejected_at("rotation", [](FastLoopOptions& o) { o.max_rotation_rad = 0.001; });

@@ -4,6 +4,7 @@
 `covinz.memory_bus.InMemoryBus` plays it in unit tests. `open_router` is the hub in the middle.
 """
 
+from covinz.bus.diagnosis import why_not
 from covinz.bus.protocol import (
     Bus,
     BusClosed,
@@ -13,7 +14,7 @@ from covinz.bus.protocol import (
     Query,
     check_size,
 )
-from covinz.bus.router import open_router
+from covinz.bus.router import Router, open_router
 from covinz.bus.session import ZenohBus
 
 __all__ = [
@@ -23,7 +24,9 @@ __all__ = [
     "Closable",
     "MessageTooLarge",
     "Query",
+    "Router",
     "ZenohBus",
     "check_size",
     "open_router",
+    "why_not",
 ]

@@ -15,6 +15,7 @@ from typing import Any
 import zenoh
 
 from covinz import codec
+from covinz.bus.link import LinkReport
 from covinz.bus.protocol import BusClosed, Closable, Query, check_size
 from covinz.bus.settings import client_settings
 from covinz.config import BusConfig
@@ -111,6 +112,7 @@ class ZenohBus:
         self._connected = threading.Event()
         self._interrupted = threading.Event()
         self._asking = zenoh.CancellationToken()
+        self._link = LinkReport(config)
         self._thread = threading.Thread(target=self._connect, name="bus-connect", daemon=True)
         self._thread.start()
         # Zenoh's threads must not call into an interpreter that is being taken down.
@@ -247,6 +249,7 @@ class ZenohBus:
         """See `Bus.close`."""
         atexit.unregister(self.close)
         self._closing.set()
+        self._link.end()
         self.interrupt()
         self._thread.join(_CLOSE_S)
         with self._lock:
@@ -265,24 +268,26 @@ class ZenohBus:
                 logger.debug("no router at %s: %s", self._config.endpoint, error)
                 self._closing.wait(pause_s)
                 if pause_s < _MAX_RETRY_S <= 2 * pause_s:
-                    logger.warning("no router at %s yet; trying on", self._config.endpoint)
+                    self._link.say_missing()
                 pause_s = min(2 * pause_s, _MAX_RETRY_S)
             else:
-                self._attach(session)
+                if self._attach(session):
+                    self._link.follow(session)
                 return
 
-    def _attach(self, session: zenoh.Session) -> None:
-        """Make all that was declared so far; unless the bus was closed meanwhile."""
+    def _attach(self, session: zenoh.Session) -> bool:
+        """Make all that was declared so far; False when the bus was closed meanwhile."""
         with self._lock:
             is_late = self._closing.is_set()
             self._session = None if is_late else session
             waiting = list(self._declarations)
         if is_late:
             session.close()
-            return
+            return False
         for declaration in waiting:
             self._apply(declaration, session)
         self._connected.set()
+        return True
 
     def _apply(self, declaration: _Declaration, session: zenoh.Session) -> None:
         try:

@@ -1,19 +1,26 @@
 """Zenoh's configuration, as covinz uses it.
 
-Source: decisions 0002 and 0007; measured with Zenoh 1.10.2.
+Source: decisions 0002, 0007 and 0024; measured with Zenoh 1.10.2.
 """
 
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 
 import zenoh
 
+from covinz.access import credentials
+from covinz.access.credentials import CredentialsError
+from covinz.access.roster import Roster, RosterError
+from covinz.access.rules import access_control
+from covinz.bus import endpoints
 from covinz.bus.protocol import BusError
 from covinz.config import BusConfig
 
 # A message on the link is this much larger than its payload: key, encoding, headers. [bytes]
 _ENVELOPE_BYTES = 4096
+_TLS = "transport/link/tls"
 
 
 def client_settings(config: BusConfig) -> zenoh.Config:
@@ -31,6 +38,7 @@ def client_settings(config: BusConfig) -> zenoh.Config:
                 "period_max_ms": 1000,
                 "period_increase_factor": 2,
             },
+            **_client_tls(config),
         },
     )
 
@@ -48,13 +56,76 @@ def router_settings(config: BusConfig) -> zenoh.Config:
         config,
         {
             "mode": "router",
-            "listen/endpoints": [config.endpoint],
+            "listen/endpoints": listening(config),
             "connect/endpoints": [],
             # Nobody is looked for, so nobody is waited for.
             "scouting/delay": 0,
             "low_pass_filter": [size_limit],
+            **_router_access(config),
         },
     )
+
+
+def listening(config: BusConfig) -> list[str]:
+    """Where the router listens; raises BusError when it must not."""
+    found = list(config.listen) or [config.endpoint]
+    for text in found:
+        endpoint = endpoints.parse(text)
+        if endpoint.is_encrypted and config.roster is None:
+            raise BusError(
+                f"cannot listen on {text} without a roster of who may connect: make one with "
+                "`covinz roster add NAME --server HOST`"
+            )
+        if not (endpoint.is_encrypted or endpoint.is_local or config.insecure):
+            raise BusError(
+                f"{text} would be open to other machines without encryption or access control. "
+                "Let robots in with `covinz roster add NAME --server HOST` and "
+                "`covinz up --listen ADDRESS`; or set bus.insecure where nobody else is on the "
+                "network"
+            )
+    return found
+
+
+def _client_tls(config: BusConfig) -> dict[str, object]:
+    if config.credentials is None:
+        if endpoints.parse(config.endpoint).is_encrypted:
+            raise BusError(
+                f"{config.endpoint} needs credentials: the file NAME.covinz that `covinz roster "
+                "add NAME` wrote on the server"
+            )
+        return {}
+    try:
+        own = credentials.read(config.credentials)
+    except CredentialsError as error:
+        raise BusError(str(error)) from error
+    return {
+        f"{_TLS}/root_ca_certificate_base64": _base64(own.authority),
+        f"{_TLS}/connect_certificate_base64": _base64(own.certificate),
+        f"{_TLS}/connect_private_key_base64": _base64(own.key),
+        f"{_TLS}/enable_mtls": True,
+        f"{_TLS}/close_link_on_expiration": True,
+    }
+
+
+def _router_access(config: BusConfig) -> dict[str, object]:
+    if config.roster is None:
+        return {}
+    try:
+        access = Roster(config.roster).router_access()
+    except RosterError as error:
+        raise BusError(str(error)) from error
+    return {
+        f"{_TLS}/root_ca_certificate_base64": _base64(access.trusted_pem),
+        f"{_TLS}/listen_certificate_base64": _base64(access.identity.certificate_pem),
+        f"{_TLS}/listen_private_key_base64": _base64(access.identity.key_pem),
+        f"{_TLS}/enable_mtls": True,
+        f"{_TLS}/close_link_on_expiration": True,
+        "access_control": access_control(access.members.items()),
+    }
+
+
+def _base64(text: str) -> str:
+    return b64encode(text.encode()).decode()
 
 
 def _settings(config: BusConfig, special: dict[str, object]) -> zenoh.Config:
@@ -72,7 +143,8 @@ def _settings(config: BusConfig, special: dict[str, object]) -> zenoh.Config:
         except zenoh.ZError as error:
             if name.endswith("/endpoints"):
                 raise BusError(
-                    f"not an endpoint: {config.endpoint!r}; expected e.g. tcp/127.0.0.1:7447"
+                    f"not an endpoint: {value}; expected e.g. tcp/127.0.0.1:7447"
                 ) from error
-            raise BusError(f"cannot use {name} = {value}: {error}") from error
+            shown = "..." if name.startswith(_TLS) else value
+            raise BusError(f"cannot use {name} = {shown}: {error}") from error
     return settings

@@ -6,10 +6,13 @@ import logging
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Protocol
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus
 from covinz.config import IngestConfig
+from covinz.machine import Machine
 from covinz.service import Context, StatusRequest
 from covinz.types import (
     Duplicate,
@@ -40,8 +43,19 @@ logger = logging.getLogger(__name__)
 _MAX_COMPLAINTS = 1000
 
 
-def run(context: Context) -> None:
+class OpenLog(Protocol):
+    """Opens the keyframe log; `KeyframeLog`."""
+
+    def __call__(self, path: Path, *, machine: Machine) -> KeyframeLog:
+        """The log in a file; raises DurableFileError."""
+
+
+def run(context: Context, open_log: OpenLog = KeyframeLog) -> None:
     """Serve uploads until `context.inbox` raises Stopped.
+
+    Args:
+        context: What the process is given.
+        open_log: Opens the log.
 
     Raises:
         DurableFileError: If the log's file cannot be used.
@@ -50,7 +64,7 @@ def run(context: Context) -> None:
     path = context.data_dir / "ingest.sqlite"
     intake = Intake(context.inbox, config)
     with ExitStack() as stack:
-        log = stack.enter_context(closing(KeyframeLog(path, machine=context.machine)))
+        log = stack.enter_context(closing(open_log(path, machine=context.machine)))
         reader = stack.enter_context(closing(LogReader(path, config.page_bytes)))
         stack.enter_context(closing(LogReads(context.bus, reader, context.machine)))
         ingest = Ingest(log, intake, context.bus, config, context.instance)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import Protocol
 
 from covinz import codec
-from covinz.keyframes import RemoteKeyframeStore
+from covinz.config import LoopSolverConfig
+from covinz.keyframes import KeyframeStore, RemoteKeyframeStore
 from covinz.service import Context, StatusRequest
-from covinz.types import Status
+from covinz.types import LoopJob, Outcome, Status
 from covinz.ulid import new_ulid
 from services.loop_solver.solver import LoopSolver
 from services.loop_solver.worker import Worker
@@ -21,15 +24,30 @@ class WorkerFailed:
     error: BaseException
 
 
-def run(context: Context) -> None:
-    """Work until `context.inbox` raises Stopped; the job at hand is finished first."""
+class Solver(Protocol):
+    """Verifies candidates; `LoopSolver`."""
+
+    def solve(self, job: LoopJob) -> Outcome:
+        """The outcome of a job; StoreUnavailable when its keyframes cannot be had now."""
+
+
+NewSolver = Callable[[LoopSolverConfig, KeyframeStore], Solver]
+
+
+def run(context: Context, new_solver: NewSolver = LoopSolver) -> None:
+    """Work until `context.inbox` raises Stopped; the job at hand is finished first.
+
+    Args:
+        context: What the process is given.
+        new_solver: Makes the solver.
+    """
     config = context.config
     store = RemoteKeyframeStore(context.bus, config.worker.cache_keyframes)
     worker = Worker(
         # A process that is started again must not be taken for the one that died.
         worker=f"{context.instance}-{new_ulid(context.machine)}",
         bus=context.bus,
-        solve=LoopSolver(config.loop_solver, store).solve,
+        solve=new_solver(config.loop_solver, store).solve,
         config=config.worker,
         lease_timeout_s=config.place_recognition.long_poll_s + config.bus.query_timeout_s,
         on_failure=lambda error: context.inbox.put_always(WorkerFailed(error)),

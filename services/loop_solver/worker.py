@@ -140,12 +140,9 @@ class Worker:
             self._asking = False
             if self._stopping:
                 return None
-        try:
-            return codec.decode(replies[0], Lease) if replies else None
-        except MalformedMessage as error:
-            logger.error("refused a lease: %s", error)
-            self.counters["malformed"] += 1
-            return None
+        # A lease that cannot be read ends the process, and so counts against its job: asking again
+        # would not.
+        return codec.decode(replies[0], Lease) if replies else None
 
     def _work(self, job: LoopJob) -> None:
         outcome = self._outcome(job)

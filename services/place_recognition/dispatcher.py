@@ -71,8 +71,9 @@ class Effects(Generic[Asker]):
 class Dispatcher(Generic[Asker]):
     """All jobs of one log and who works on them.
 
-    A worker holds at most one lease and one open request: asking again ends both. Times are in
-    seconds of one monotonic clock. An `Asker` is whatever stands for an open request.
+    A worker holds at most one lease and one open request: asking again ends both. A lease that
+    ends so has not reached it, and is no attempt. Times are in seconds of one monotonic clock. An
+    `Asker` is whatever stands for an open request.
     """
 
     def __init__(self, config: PlaceRecognitionConfig, journal: Journal) -> None:
@@ -131,6 +132,8 @@ class Dispatcher(Generic[Asker]):
             self._gone.discard(worker)
             self._turned_away.append(asker)
             return
+        if worker in self._loans:
+            self._undo_attempt(self._loans[worker].job)
         self._end_worker(worker)
         self._waiters[worker] = _Waiter(asker, now_s + self._config.long_poll_s)
 
@@ -200,6 +203,11 @@ class Dispatcher(Generic[Asker]):
             self._turned_away.append(waiter.asker)
         if worker in self._loans:
             self._end_loan(worker)
+
+    def _undo_attempt(self, entry: _Job) -> None:
+        """Nobody has touched the job; a link that loses leases must not use its attempts up."""
+        entry.attempts -= 1
+        self._journal.note_attempt(entry.job.id, entry.attempts)
 
     def _end_loan(self, worker: str) -> None:
         entry = self._loans.pop(worker).job

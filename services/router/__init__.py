@@ -1,1 +1,1 @@
-"""The hub that all sessions connect to: routing, and a limit on the size of messages."""
+"""The hub that all sessions connect to: routing, who may connect, a limit on messages."""

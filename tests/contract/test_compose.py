@@ -12,10 +12,15 @@ from typing import Any
 import pytest
 
 from covinz import config, health, service, supervisor
+from covinz.access.enrolment import LOCAL_HOSTS
+from covinz.access.roster import Roster
+from covinz.bus import endpoints
+from covinz.bus.settings import listening
 from scripts.compose_check import environment
 
 ROOT = Path(__file__).parents[2]
 COMPOSE = ROOT / "docker-compose.yml"
+SECURED = ROOT / "docker-compose.tls.yml"
 # Installed by requirements.txt; reading a file needs no engine.
 PROGRAM = Path(sys.executable).with_name("docker-compose")
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
@@ -25,15 +30,18 @@ SERVICES = {spec.argv[spec.argv.index("-m") + 1].removeprefix("services.") for s
 Json = dict[str, Any]
 
 
-def compose(file: Path, *arguments: str, **environ: str) -> subprocess.CompletedProcess[str]:
-    """Run compose on a file, with these variables and none of the user's."""
-    command = [str(PROGRAM), "--env-file", "/dev/null", "--file", str(file), *arguments]
+def compose(files: list[Path], *arguments: str, **environ: str) -> subprocess.CompletedProcess[str]:
+    """Run compose on files, one on top of the other, with these variables only."""
+    command = [str(PROGRAM), "--env-file", "/dev/null"]
+    command += [word for file in files for word in ("--file", str(file))]
+    command += arguments
     return subprocess.run(command, env=environ, capture_output=True, text=True)
 
 
-def resolved(**environ: str) -> Json:
-    """The file as compose understands it."""
-    done = compose(COMPOSE, "config", "--no-env-resolution", "--format", "json", **environ)
+def resolved(*above: Path, **environ: str) -> Json:
+    """docker-compose.yml, and what is put on top of it, as compose understands it."""
+    options = ["--profile", "*", "config", "--no-env-resolution", "--format", "json"]
+    done = compose([COMPOSE, *above], *options, **environ)
     assert done.returncode == 0, done.stderr
     made: Json = json.loads(done.stdout)
     return made
@@ -45,15 +53,16 @@ def services() -> Json:
     return found
 
 
-def test_compose_accepts_the_file() -> None:
-    done = compose(COMPOSE, "config", "--quiet")
+@pytest.mark.parametrize("files", [[COMPOSE], [COMPOSE, SECURED]])
+def test_compose_accepts_the_files(files: list[Path]) -> None:
+    done = compose(files, "config", "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 def test_compose_would_notice_a_misspelt_key(tmp_path: Path) -> None:
     broken = tmp_path / "docker-compose.yml"
     broken.write_text(COMPOSE.read_text().replace("healthcheck:", "healthchek:", 1))
-    done = compose(broken, "config", "--quiet")
+    done = compose([broken], "config", "--quiet")
     assert done.returncode != 0
     assert "healthchek" in done.stderr
 
@@ -97,7 +106,7 @@ def test_every_variable_of_a_container_means_something(services: Json) -> None:
 
 
 def test_every_variable_of_the_file_is_documented() -> None:
-    used = set(re.findall(r"\$\{(\w+)", COMPOSE.read_text()))
+    used = set(re.findall(r"\$\{(\w+)", COMPOSE.read_text() + SECURED.read_text()))
     assert len(used) > 3
     guide = (ROOT / "docs" / "deployment.md").read_text()
     assert [name for name in sorted(used) if f"`{name}`" not in guide] == []
@@ -122,10 +131,47 @@ def test_robots_reach_the_router_only_and_from_this_machine_unless_told(services
     assert [name for name, found in services.items() if "ports" in found] == ["router"]
     (port,) = services["router"]["ports"]
     assert (port["host_ip"], port["published"]) == ("127.0.0.1", "7447")
-    told = resolved(COVINZ_LISTEN="0.0.0.0", COVINZ_PORT="8000", COVINZ_WORKERS="8")["services"]
+    variables = {"COVINZ_PORT": "8000", "COVINZ_WORKERS": "8"}
+    told = resolved(COVINZ_INSECURE_LISTEN="0.0.0.0", **variables)["services"]
     (port,) = told["router"]["ports"]
     assert (port["host_ip"], port["published"], port["target"]) == ("0.0.0.0", "8000", 7447)
     assert told["loop_solver"]["deploy"]["replicas"] == 8
+
+
+def test_in_the_clear_only_the_router_says_that_it_may(services: Json) -> None:
+    insecure = {name: config.load(None, one["environment"]) for name, one in services.items()}
+    assert [name for name, one in insecure.items() if one.bus.insecure] == ["router"]
+    listening(insecure["router"].bus)  # or it would not start
+
+
+def test_with_tls_everybody_has_credentials_and_the_router_a_roster() -> None:
+    secured = resolved(SECURED)["services"]
+    assert secured.keys() == {*SERVICES, "roster"}
+    assert secured["roster"]["profiles"] == ["roster"]
+    folder = secured["roster"]["environment"]["COVINZ__BUS__ROSTER"]
+    assert f"-m 700 {folder} " in DOCKERFILE
+    for name in SERVICES:
+        bus = config.load(None, secured[name]["environment"]).bus
+        # The name is one of those in the certificate of every router.
+        assert endpoints.parse(bus.endpoint) == endpoints.Endpoint("tls", "router", 7447)
+        assert bus.credentials == Roster(Path(folder)).server_credentials
+        assert not bus.insecure
+        (mount,) = [one for one in secured[name]["volumes"] if one["target"] == folder]
+        assert mount["read_only"] is True
+        assert bus.roster == (Path(folder) if name == "router" else None)
+    assert "router" in LOCAL_HOSTS
+
+
+def test_with_tls_every_published_port_is_encrypted() -> None:
+    router = resolved(SECURED, COVINZ_LISTEN="10.8.0.1")["services"]["router"]
+    bus = config.load(None, router["environment"]).bus
+    where = [endpoints.parse(text) for text in bus.listen]
+    assert [(one.protocol, one.host, one.port) for one in where] == [
+        ("tls", "0.0.0.0", 7447),
+        ("quic", "0.0.0.0", 7447),
+    ]
+    published = {(one["host_ip"], one["protocol"], one["target"]) for one in router["ports"]}
+    assert published == {("10.8.0.1", "tcp", 7447), ("10.8.0.1", "udp", 7447)}
 
 
 @pytest.mark.parametrize("name", sorted(SERVICES))

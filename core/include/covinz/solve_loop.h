@@ -105,7 +105,8 @@ struct LoopRejection {
   // "matches"       matches of a pair < min_num_matches
   // "pair_inliers"  five-point inliers of a pair < min_num_pair_inliers
   // "rig_inliers"   17-point inliers < min_num_rig_inliers
-  // "scale"         part of them that needs no baseline > scale.max_common_centre_ratio
+  // "scale"         part of them that needs no baseline > scale.max_common_centre_ratio; of the
+  //                 fast profile: longest motion in a rig [sigmas] < min_baseline_sigmas
   // "covariance"    good samples < covariance.num_samples
   // "ambiguous"     significance of the best solution against a distinct one [sigmas]
   //                 < selection.min_significance; the fast profile's

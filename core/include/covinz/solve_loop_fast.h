@@ -47,6 +47,9 @@ struct FastLoopOptions {
   int min_num_inliers = 100;
   // Two cameras of one rig must be further apart than this [m], or there is no scale.
   double min_baseline_m = 0.01;
+  // Nor is there one where odometry cannot tell the longest motion within a rig from none: its
+  // length in standard deviations. [chi^2 with three degrees of freedom at 99.9 %: 4.03^2]
+  double min_baseline_sigmas = 4.0;
   // Largest predicted standard deviation of the translation [m], the root of its covariance's
   // trace. [catches what is left of loops without scale: short baselines, forward motion]
   double max_sigma_translation_m = 0.3;

@@ -11,34 +11,14 @@ from benchmarks.fleet import Fleet
 from benchmarks.loop_jobs import far_pairs, jobs_of, near_pairs, random_pairs
 from covinz.frames import so3_exp, transform
 from covinz.keyframes import CameraNotFound, KeyframeNotFound
-from covinz.types import Camera, Features, FeatureType, Keyframe, KeyframeId
+from covinz.types import KeyframeId
 
-SESSIONS = {"a": "01ARZ3NDEKTSV4RRFFQ69G5FAV", "b": "01ARZ3NDEKTSV4RRFFQ69G5FAW"}
-CAMERA = Camera("PINHOLE", 640, 480, np.array([500.0, 500.0, 320.0, 240.0]), np.eye(4))
-SECOND = 1_000_000_000
 COUNT = 6
+SESSIONS = {"a": "01ARZ3NDEKTSV4RRFFQ69G5FAV", "b": "01ARZ3NDEKTSV4RRFFQ69G5FAW"}
 
 
 def name(agent: str, seq: int) -> KeyframeId:
     return KeyframeId(agent, SESSIONS[agent], seq)
-
-
-@pytest.fixture
-def fleet() -> Fleet:
-    """Two robots go the same way, 0.5 m a keyframe; the second ten seconds later, turned aside."""
-    rng = np.random.default_rng(0)
-    keyframes, poses = {}, {}
-    for (agent, start_s, yaw), seq in product((("a", 0, 0.0), ("b", 10, 0.3)), range(COUNT)):
-        T = transform(so3_exp([0, yaw, 0]), [0.5 * seq, 0, 0])
-        features = Features(
-            FeatureType.ORB,
-            rng.uniform(0, 480, (40, 2)).astype(np.float32),
-            rng.integers(0, 256, (40, 32), dtype=np.uint8),
-        )
-        stamp_ns = (start_s + seq) * SECOND
-        keyframes[name(agent, seq)] = Keyframe(name(agent, seq), stamp_ns, T, CAMERA.hash, features)
-        poses[name(agent, seq)] = T
-    return Fleet({}, keyframes, {CAMERA.hash: CAMERA}, poses, {})
 
 
 def test_near_pairs_are_near_and_of_different_robots(fleet: Fleet) -> None:

@@ -329,10 +329,10 @@ def test_key_expressions_match_as_zenoh_says(a: str, b: str) -> None:
 
 
 def test_threads_end_with_what_they_were_for(bus_config: BusConfig) -> None:
-    def callback_threads() -> list[threading.Thread]:
-        return [t for t in threading.enumerate() if t.name.startswith("bus-")]
+    def threads_of_buses(kind: str = "") -> list[threading.Thread]:
+        return [t for t in threading.enumerate() if t.name.startswith(f"bus-{kind}")]
 
-    assert callback_threads() == []
+    assert threads_of_buses() == []
     with closing(open_router(bus_config)), closing(ZenohBus.open(bus_config)) as bus:
         declared: list[Closable] = [
             bus.subscribe("covinz/a", lambda *_: None),
@@ -340,14 +340,14 @@ def test_threads_end_with_what_they_were_for(bus_config: BusConfig) -> None:
             bus.watch_alive("covinz/a", lambda *_: None),
             bus.watch_answered("covinz/a", lambda _: None),
         ]
-        threads = callback_threads()
+        threads = threads_of_buses("callback")
         assert len(threads) == len(declared)
         for each in declared:
             each.close()
         for thread in threads:
             thread.join(WAIT_S)
         bus.subscribe("covinz/a", lambda *_: None)
-        threads = callback_threads()
+        threads = threads_of_buses("callback")
         assert len(threads) == 1
     threads[0].join(WAIT_S)
-    assert callback_threads() == []
+    assert threads_of_buses() == []

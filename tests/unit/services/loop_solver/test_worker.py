@@ -11,6 +11,7 @@ import pytest
 
 from covinz import codec, keyexprs
 from covinz.bus import BusClosed, Query
+from covinz.codec import MalformedMessage
 from covinz.config import WorkerConfig
 from covinz.keyframes import StoreUnavailable
 from covinz.memory_bus import Hub, InMemoryBus
@@ -188,7 +189,6 @@ def test_a_request_without_a_job_is_repeated(room: Any, server: Server, start: S
     start(rejection_of)
     for _ in range(3):
         server.leases.get(timeout=PATIENCE_S).drop()
-    server.leases.get(timeout=PATIENCE_S).reply(b"garbage")
     server.lend(room.job)
     server.take_done()
 
@@ -273,6 +273,16 @@ def test_a_bug_is_reported(room: Any, server: Server, start: Start, failures: li
     server.lend(room.job)
     worker.join()
     assert [type(failure) for failure in failures] == [ZeroDivisionError]
+
+
+def test_a_lease_that_cannot_be_read_ends_the_worker(
+    hub: Hub, start: Start, failures: list[Any]
+) -> None:
+    dispatcher = hub.join()
+    dispatcher.answer(keyexprs.JOB_LEASE, lambda query: query.reply(b"of another version"))
+    start(rejection_of).join()
+    dispatcher.close()
+    assert [type(failure) for failure in failures] == [MalformedMessage]
 
 
 def test_a_bus_that_is_cut_off_unasked_is_a_failure(

@@ -154,7 +154,19 @@ def test_asking_again_gives_the_lease_back(desk: Dispatcher[str]) -> None:
     desk.request("w", "lost on the way", 0.0)
     desk.advance(0.0)
     desk.request("w", "r2", 8.0)
-    assert lent(desk, 8.0) == [("r2", "00", 2)]
+    assert lent(desk, 8.0) == [("r2", "00", 1)]
+
+
+def test_leases_that_never_arrive_do_not_use_a_job_up(journal: Journal) -> None:
+    desk = make(journal, num_jobs=1)
+    for n in range(9):
+        desk.request("w", f"r{n}", float(n))
+        assert lent(desk, float(n)) == [(f"r{n}", "00", 1)]
+    # Nor after a restart; then only the lease that is open counts.
+    journal.commit()
+    again = make(journal, num_jobs=1)
+    again.request("w", "r", 20.0)
+    assert lent(again, 20.0) == [("r", "00", 2)]
 
 
 def test_a_second_request_replaces_the_first(desk: Dispatcher[str]) -> None:
@@ -289,6 +301,7 @@ class DispatcherMachine(RuleBasedStateMachine):
         self.open_requests: set[str] = set()
         self.acked: dict[str, Outcome] = {}
         self.attempts: dict[str, int] = {}
+        self.held: dict[str, str] = {}
 
     def settle(self) -> None:
         effects = self.desk.advance(self.now_s)
@@ -299,6 +312,8 @@ class DispatcherMachine(RuleBasedStateMachine):
             assert lease.job.id not in self.acked
             assert lease.attempt == self.attempts.get(lease.job.id, 0) + 1 <= CONFIG.max_attempts
             self.attempts[lease.job.id] = lease.attempt
+            self.held = {w: held for w, held in self.held.items() if held != lease.job.id}
+            self.held[lease.worker] = lease.job.id
             self.leases.append(lease)
         for asker in effects.turned_away:
             self.open_requests.remove(asker)
@@ -314,12 +329,16 @@ class DispatcherMachine(RuleBasedStateMachine):
         asker = f"{worker} {len(self.open_requests)} {self.now_s}"
         self.now_s += 0.25
         self.open_requests.add(asker)
+        for record in self.desk.page(0).records:
+            if self.held.get(worker) == record.job.id and record.state is JobState.LEASED:
+                self.attempts[record.job.id] -= 1  # it asks again: the lease never reached it
         self.desk.request(worker, asker, self.now_s)
         self.settle()
 
     @rule(worker=st.sampled_from("uvw"))
     def worker_dies(self, worker: str) -> None:
         self.desk.worker_gone(worker)
+        self.held.pop(worker, None)
         self.settle()
 
     @rule(seconds=st.sampled_from([1.0, 5.0, 60.0]))
@@ -344,6 +363,7 @@ class DispatcherMachine(RuleBasedStateMachine):
         self.journal = Journal(Path(self.folder.name) / "place_recognition.sqlite")
         self.desk = make(self.journal)
         self.open_requests.clear()
+        self.held.clear()
         # Requests and outcomes may come in the middle of the replay; the rest follows at once.
         for n in range(self.num_jobs):
             if n == replayed and self.leases:

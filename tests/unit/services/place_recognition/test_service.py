@@ -264,6 +264,6 @@ def test_the_follower_is_held_back_after_two_pages(entries: list[LogEntry]) -> N
 
 
 def test_the_shipped_vocabulary_works_with_the_defaults(world: Any) -> None:
-    recognizer = recognizer_factory(Config(), {}.get)()
+    recognizer = recognizer_factory(Config(), lambda camera_hash: None)()
     assert recognizer.process(LogEntry(0, world.keyframe("a", 0, 0))) == []
     assert recognizer.counters["indexed"] == 1
