@@ -152,6 +152,8 @@ void BindLoopResult(nb::module_& m) {
               "odometry's residuals in its standard deviations.")
       .def_ro("independent_px", &LoopEstimate::independent_px, "Noise of a keypoint's own.")
       .def_ro("shared_px", &LoopEstimate::shared_px, "Noise that neighbouring keypoints share.")
+      .def_ro("analytic_covariance", &LoopEstimate::analytic_covariance,
+              "Of the fast profile: (6, 6), the inverse Hessian alone, for comparison; else None.")
       .def_prop_ro(
           "stage_ms", [](const LoopEstimate& self) { return ToPairs(self.stage_ms); },
           "Wall time of the stages, in order: (name, ms). matching, pairs (of the paper profile),\n"

@@ -85,6 +85,7 @@ LoopEstimate MakeEstimate(const LoopProblem& problem,
   loop.motion_residuals = solution.refinement.motion_residuals;
   loop.independent_px = covariance.independent_px;
   loop.shared_px = covariance.shared_px;
+  loop.analytic_covariance = covariance.analytic;
   return loop;
 }
 

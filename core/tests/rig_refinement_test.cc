@@ -154,6 +154,17 @@ TEST(RefineRigs, CovarianceIsHonestWhenNeighboursShareTheirErrors) {
   }
 }
 
+TEST(RefineRigs, TheAnalyticCovarianceIsThatOfIndependentErrorsAsLargeAsTold) {
+  RefinementProblemOptions options = Ordinary(4);
+  const auto ratio_of_variances = [](const RefinementProblemOptions& o) {
+    const CalibratedRefinement refined = Refine(MakeRefinementProblem(o));
+    return (refined.analytic.inverse() * refined.covariance).trace() / 6.0;
+  };
+  EXPECT_NEAR(ratio_of_variances(options), 1.0, 0.5);
+  options.shared_px = 1.0;
+  EXPECT_GT(ratio_of_variances(options), 2.0);
+}
+
 TEST(RefineRigs, SharedErrorsAreToldFromIndependentOnes) {
   RefinementProblemOptions options = Ordinary(3);
   EXPECT_LT(Refine(MakeRefinementProblem(options)).shared_px, 0.3);

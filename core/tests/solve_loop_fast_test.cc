@@ -113,6 +113,8 @@ TEST(SolveLoopFast, FindsTheLoop) {
     EXPECT_EQ(loop->num_matches.size(), 6u);
     EXPECT_EQ(loop->motion_residuals.size(), 3u);
     EXPECT_NEAR(loop->independent_px, 1.0, 0.2);
+    ASSERT_TRUE(loop->analytic_covariance.has_value());
+    EXPECT_NEAR((loop->analytic_covariance->inverse() * loop->covariance).trace() / 6.0, 1.0, 0.7);
     int num_inliers = 0;
     for (size_t p = 0; p < 6; ++p) {
       EXPECT_GE(loop->num_matches[p], loop->num_pair_inliers[p]);

@@ -30,6 +30,9 @@ struct RefinementCovariance {
   // shares with its neighbours in the image.
   double independent_px;
   double shared_px;
+  // The same as `covariance` were every error independent and as large as told: the inverse of the
+  // Hessian alone. For comparison.
+  Matrix6d analytic;
 };
 
 // The inverse of the Hessian alone would claim far too much of real images: what blur, rolling

@@ -87,6 +87,9 @@ struct LoopEstimate {
   // that it shares with its neighbours.
   double independent_px = 0.0;
   double shared_px = 0.0;
+  // Of the fast profile: `covariance` were all errors independent and as large as told, for
+  // comparison.
+  std::optional<Matrix6d> analytic_covariance = std::nullopt;
   // In order; the one thing that differs from run to run.
   std::vector<StageTime> stage_ms = {};
 };
