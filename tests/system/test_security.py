@@ -376,6 +376,18 @@ def test_without_a_certificate_or_without_tls_there_is_no_connection(roster: Ros
     assert "needs credentials" in why_not(plain)
 
 
+def test_a_robot_cannot_take_over_the_session_of_another(server: ZenohBus, roster: Roster) -> None:
+    server.answer(keyexprs.AGENT_KEYFRAMES, lambda query: query.reply(b"stored"))
+    with zenoh.open(client_settings(bus_of(roster, OTHER))) as victim:
+        forged = client_settings(bus_of(roster, ROBOT))
+        forged.insert_json5("id", f'"{victim.zid()}"')
+        with pytest.raises(zenoh.ZError, match="Unable to connect"):
+            connect(forged)
+        wait_answered(server, keyexprs.agent_keyframe(OTHER))
+        replies = list(victim.get(keyexprs.agent_keyframe(OTHER), timeout=WAIT_S))
+        assert [reply.ok is not None for reply in replies] == [True]
+
+
 def test_a_robot_cannot_play_the_server(roster: Roster, tmp_path: Path) -> None:
     """With all that one robot has, nobody can make the other one connect to it."""
     ours = credentials.read(file_of(roster, ROBOT))
@@ -448,7 +460,7 @@ def test_who_is_removed_is_thrown_out_and_others_only_reconnect(
 
 
 def test_who_expires_is_thrown_out_and_told_why(server: ZenohBus, roster: Roster) -> None:
-    let_in(roster, Request("brief", lifetime=timedelta(seconds=6)))
+    let_in(roster, Request("brief", lifetime=timedelta(seconds=12)))
     server.answer(keyexprs.AGENT_KEYFRAMES, lambda query: query.reply(b""))
     changes: queue.Queue[bool] = queue.Queue()
     with closing(ZenohBus.open(bus_of(roster, "brief"))) as link:
