@@ -30,7 +30,7 @@ PUBLIC = {
     "smallGrid3D": ("single/smallGrid3D.g2o",),
 }
 # Robots, keyframes of each, loops of each pair of robots.
-FLEETS = ((3, 208, 470), (5, 200, 200), (5, 500, 27), (5, 500, 270))
+FLEETS = ((3, 208, 470), (5, 200, 200), (5, 500, 27))
 
 
 def fleet(num_agents: int, length: int, loops_per_pair: int) -> Problem:
