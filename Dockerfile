@@ -7,7 +7,7 @@ ARG JOBS=2
 
 RUN apt-get update -qq \
  && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
-      cmake g++ libceres-dev libeigen3-dev libopencv-core-dev libopencv-features2d-dev libopengv-dev \
+      cmake g++ libeigen3-dev libopencv-core-dev libopencv-features2d-dev libopengv-dev \
       ninja-build \
  && rm -rf /var/lib/apt/lists/*
 
@@ -49,13 +49,13 @@ FROM python:3.11-slim-bookworm
 LABEL org.opencontainers.image.title="covinz" \
       org.opencontainers.image.description="Collaborative SLAM server" \
       org.opencontainers.image.licenses="Apache-2.0" \
-      covinz.licences="covinz is Apache-2.0. What comes with it has licences of its own, in /usr/share/doc/*/copyright and /opt/covinz/lib/python3.11/site-packages/*.dist-info. Debian's Ceres loads SuiteSparse, of which SPQR and modules of CHOLMOD are GPL-2.0-or-later; covinz does not call them."
+      covinz.licences="covinz is Apache-2.0. What comes with it has licences of its own, in /usr/share/doc/*/copyright and /opt/covinz/lib/python3.11/site-packages/*.dist-info."
 
 # tini ends with its child, hands signals on, and lets a process be killed from inside its container.
 COPY --from=build /no-gl.deb /tmp/
 RUN apt-get update -qq \
  && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends /tmp/no-gl.deb \
-      libceres3 libopencv-core406 libopencv-features2d406 libopengv1 tini \
+      libopencv-core406 libopencv-features2d406 libopengv1 tini \
  && rm -rf /var/lib/apt/lists/* /tmp/no-gl.deb \
  && useradd --uid 10001 --home-dir /app --no-create-home --shell /usr/sbin/nologin covinz \
  && install -d -o covinz -g covinz -m 700 /roster \

@@ -79,9 +79,12 @@ FIRST ?= 0
 simulate: setup
 	$(BIN)/python -m tests.simulation $(if $(SEED),--seed $(SEED),--seeds $(SEEDS) --first $(FIRST))
 
-BENCHMARKS := scenarios demo map_floor loop_geometry matching place_recognition map_from_scratch cauchy_scale
+BENCHMARKS := scenarios demo map_floor loop_geometry matching place_recognition map_from_scratch pose_graph cauchy_scale
 
+# Ceres, which pose_graph and map_from_scratch compare with, comes with the core's tests.
 bench: setup
+	cmake -S core -B core/build/tests -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF >/dev/null
+	cmake --build core/build/tests -j $(JOBS) --target ceres_pose_graph
 	@mkdir -p benchmarks/results
 	@set -e; for name in $(BENCHMARKS); do \
 	  echo "benchmarks/$$name.py"; \

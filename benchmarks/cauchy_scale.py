@@ -129,22 +129,21 @@ def loop_pairs(truth: Array, rng: np.random.Generator) -> NDArray[np.int64]:
 
 def map_error_m(fleet: Fleet, scale: float) -> float:
     """RMS position error of the map, optimised as the optimizer does it."""
-    poses = fleet.start
-    fixed = np.zeros(len(poses), dtype=bool)
+    fixed = np.zeros(len(fleet.start), dtype=bool)
     fixed[0] = True
-    for factor in (OptimizerConfig().cauchy_start_factor, 1.0):
-        result = core.optimize_pose_graph(
-            poses,
-            fixed,
-            fleet.edge_from,
-            fleet.edge_to,
-            fleet.T_from_to,
-            fleet.information,
-            fleet.is_loop,
-            core.PoseGraphOptions(cauchy_scale=factor * scale),
-        )
-        poses = result.T_map_body
-    return rms_m(poses, fleet.truth)
+    result = core.optimize_pose_graph(
+        fleet.start,
+        fixed,
+        fleet.edge_from,
+        fleet.edge_to,
+        fleet.T_from_to,
+        fleet.information,
+        fleet.is_loop,
+        core.PoseGraphOptions(
+            cauchy_scale=scale, cauchy_start_factor=OptimizerConfig().cauchy_start_factor
+        ),
+    )
+    return rms_m(np.asarray(result.T_map_body), fleet.truth)
 
 
 def rms_m(poses: Array, truth: Array) -> float:

@@ -5,6 +5,8 @@ one thread: the map from scratch against a warm start from the previous map with
 Measured too, as position RMSE after alignment, also with odometry worse than configured: what each
 decision is worth. Prints JSON.
 
+    (`solver`: the core's pose graph solver against Ceres, benchmarks/pose_graphs.py)
+
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python -m benchmarks.map_from_scratch [--out FILE]
 """
 
@@ -21,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.pose_graphs import compared, of_graph
 from covinz.config import OdometryNoise, OptimizerConfig
 from covinz.frames import Array
 from services.optimizer import optimisation, pose_graph
@@ -43,7 +46,7 @@ def cpu_ms(work: Callable[[], object]) -> float:
     return statistics.median(times)
 
 
-def costs(num_keyframes: int, loops_per_pair: int) -> dict[str, float]:
+def costs(num_keyframes: int, loops_per_pair: int) -> dict[str, object]:
     """Where the time goes for a map of this size, and what a warm start would take."""
     fleet = make_fleet(0, NUM_AGENTS, num_keyframes // NUM_AGENTS, loops_per_pair, 0.1)
     component = only_component(fleet)
@@ -51,10 +54,12 @@ def costs(num_keyframes: int, loops_per_pair: int) -> dict[str, float]:
     previous = optimisation.optimise(before, CONFIG).T_map_body
     graph = pose_graph.build_graph(component, CONFIG)
     scratch = optimisation.optimise(component, CONFIG)
+    start = optimisation.start_of(component, graph, CONFIG)
 
     def warm() -> None:
         now = pose_graph.build_graph(component, CONFIG)
-        optimisation.minimised(now, previous, CONFIG.cauchy_scale, CONFIG.max_iterations)
+        options = optimisation.pose_graph_options(without(cauchy_start_factor=1.0))
+        optimisation.minimised(now, previous, options)
 
     return {
         "keyframes": component.num_keyframes,
@@ -66,6 +71,7 @@ def costs(num_keyframes: int, loops_per_pair: int) -> dict[str, float]:
         "scratch_iterations": scratch.iterations,
         "warm_ms": cpu_ms(warm),
         "rmse_m": rmse(fleet, scratch.T_map_body),
+        "solver": compared(of_graph(graph, start), CONFIG.cauchy_scale, CONFIG.cauchy_start_factor),
     }
 
 

@@ -90,18 +90,22 @@ void BindOptions(nb::module_& m) {
   nb::class_<PoseGraphOptions>(m, "PoseGraphOptions", "Options of optimize_pose_graph.")
       .def(
           "__init__",
-          [](PoseGraphOptions* self, double cauchy_scale, int max_num_iterations,
-             double function_tolerance, double parameter_tolerance, double gradient_tolerance) {
-            new (self) PoseGraphOptions{cauchy_scale, max_num_iterations, function_tolerance,
-                                        parameter_tolerance, gradient_tolerance};
+          [](PoseGraphOptions* self, double cauchy_scale, double cauchy_start_factor,
+             int max_num_iterations, double function_tolerance, double parameter_tolerance,
+             double gradient_tolerance) {
+            new (self)
+                PoseGraphOptions{cauchy_scale,       cauchy_start_factor, max_num_iterations,
+                                 function_tolerance, parameter_tolerance, gradient_tolerance};
             self->Check();
           },
           nb::kw_only(), "cauchy_scale"_a = PoseGraphOptions().cauchy_scale,
+          "cauchy_start_factor"_a = PoseGraphOptions().cauchy_start_factor,
           "max_num_iterations"_a = PoseGraphOptions().max_num_iterations,
           "function_tolerance"_a = PoseGraphOptions().function_tolerance,
           "parameter_tolerance"_a = PoseGraphOptions().parameter_tolerance,
           "gradient_tolerance"_a = PoseGraphOptions().gradient_tolerance)
       .def_ro("cauchy_scale", &PoseGraphOptions::cauchy_scale)
+      .def_ro("cauchy_start_factor", &PoseGraphOptions::cauchy_start_factor)
       .def_ro("max_num_iterations", &PoseGraphOptions::max_num_iterations)
       .def_ro("function_tolerance", &PoseGraphOptions::function_tolerance)
       .def_ro("parameter_tolerance", &PoseGraphOptions::parameter_tolerance)

@@ -91,6 +91,8 @@ void PoseGraph::Check() const {
 
 void PoseGraphOptions::Check() const {
   Require(std::isfinite(cauchy_scale) && cauchy_scale > 0.0, "cauchy_scale must be positive");
+  Require(std::isfinite(cauchy_start_factor) && cauchy_start_factor >= 1.0,
+          "cauchy_start_factor must not be below one");
   Require(max_num_iterations >= 0, "max_num_iterations must not be negative");
   for (const double tolerance : {function_tolerance, parameter_tolerance, gradient_tolerance}) {
     Require(std::isfinite(tolerance) && tolerance >= 0.0, "tolerances must not be negative");

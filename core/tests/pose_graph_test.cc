@@ -3,11 +3,13 @@
 
 #include <cmath>
 #include <limits>
+#include <random>
 #include <stdexcept>
 #include <string>
 
 #include <gtest/gtest.h>
 
+#include "ceres_pose_graph.h"
 #include "covinz/pose_graph_residual.h"
 #include "pose_graph_problem.h"
 
@@ -228,6 +230,77 @@ TEST(PoseGraph, CauchySuppressesWrongLoops) {
             20.0 * without);
 }
 
+// Random loops, some of them wrong by metres, on the spiral's odometry.
+PoseGraph GraphWithWrongLoops(int num_loops, int num_wrong, uint64_t seed) {
+  PoseGraphProblem problem = SphereProblem(8, 15, 1.0, seed);
+  std::mt19937_64 engine(seed + 1);
+  Gaussian gaussian(seed + 2);
+  const uint64_t num_nodes = problem.truth.size();
+  for (int k = 0; k < num_loops; ++k) {
+    const auto from = static_cast<int64_t>(engine() % num_nodes);
+    const auto to = static_cast<int64_t>((from + 5 + engine() % (num_nodes - 10)) % num_nodes);
+    const Vector6d error = k < num_wrong ? gaussian.Draw(0.3, 3.0) : gaussian.Draw(1e-3, 1e-2);
+    const Eigen::Isometry3d T =
+        problem.truth[static_cast<size_t>(from)].inverse() * problem.truth[static_cast<size_t>(to)];
+    problem.graph.edges.push_back({from, to, T * ExpSE3(error), InformationOf(1e-3, 1e-2), true});
+  }
+  return problem.graph;
+}
+
+TEST(PoseGraph, ReachesTheMinimumThatCeresDoes) {
+  uint64_t seed = 20;
+  for (const int num_loops : {0, 20, 200, 600}) {
+    for (const double wrong : {0.0, 0.1, 0.3}) {
+      const PoseGraph graph =
+          GraphWithWrongLoops(num_loops, static_cast<int>(wrong * num_loops), seed++);
+      PoseGraphOptions options;
+      // Ceres converges linearly on a Cauchy loss: it gets there with a smaller tolerance only.
+      options.function_tolerance = 1e-12;
+      options.cauchy_scale = 10.0;
+      PoseGraph wide = graph;
+      wide.T_map_body = OptimizePoseGraphWithCeres(graph, options).T_map_body;
+      options.cauchy_scale = 2.5;
+      const PoseGraphResult ceres = OptimizePoseGraphWithCeres(wide, options);
+      const PoseGraphResult ours = OptimizePoseGraph(wide, options);
+      EXPECT_TRUE(ours.converged);
+      EXPECT_NEAR(ours.initial_cost, ceres.initial_cost, 1e-9 * ceres.initial_cost);
+      EXPECT_NEAR(ours.final_cost, ceres.final_cost, 1e-7 * ceres.final_cost)
+          << num_loops << " loops, wrong " << wrong;
+      EXPECT_LT(MaxDistance(ours.T_map_body, ceres.T_map_body), 1e-4);
+    }
+  }
+}
+
+TEST(PoseGraph, StopsNoLaterThanCeres) {
+  uint64_t seed = 40;
+  for (const double wrong : {0.0, 0.2}) {
+    const PoseGraph graph = GraphWithWrongLoops(200, static_cast<int>(wrong * 200), seed++);
+    const PoseGraphResult ceres = OptimizePoseGraphWithCeres(graph, {});
+    const PoseGraphResult ours = OptimizePoseGraph(graph, {});
+    EXPECT_TRUE(ours.converged);
+    EXPECT_LE(ours.final_cost, ceres.final_cost * (1.0 + 1e-6));
+    EXPECT_LE(ours.num_iterations, ceres.num_iterations);
+  }
+}
+
+TEST(PoseGraph, WideStartIsTheSameAsTwoOptimisations) {
+  const PoseGraph graph = GraphWithWrongLoops(200, 40, 50);
+  PoseGraphOptions options;
+  options.cauchy_start_factor = 4.0;
+  const PoseGraphResult at_once = OptimizePoseGraph(graph, options);
+  PoseGraphOptions start;
+  start.cauchy_scale = 4.0 * options.cauchy_scale;
+  start.function_tolerance = 1e-3;
+  PoseGraph wide = graph;
+  const PoseGraphResult first = OptimizePoseGraph(graph, start);
+  wide.T_map_body = first.T_map_body;
+  const PoseGraphResult second = OptimizePoseGraph(wide, {});
+  EXPECT_EQ(at_once.num_iterations, first.num_iterations + second.num_iterations);
+  EXPECT_NEAR(at_once.final_cost, second.final_cost, 1e-9 * second.final_cost);
+  EXPECT_EQ(at_once.initial_cost, OptimizePoseGraph(graph, {}).initial_cost);
+  EXPECT_LT(MaxDistance(at_once.T_map_body, second.T_map_body), 1e-9);
+}
+
 TEST(PoseGraph, FixedNodesAreReturnedBitByBit) {
   PoseGraphProblem problem = SphereProblem(3, 10, 1.0, 7);
   problem.graph.fixed[17] = true;
@@ -311,6 +384,9 @@ TEST(PoseGraph, MalformedInputIsNamed) {
 TEST(PoseGraph, MalformedOptionsAreRejected) {
   PoseGraphOptions options;
   options.cauchy_scale = 0.0;
+  EXPECT_NE(RejectionOf(PoseGraph(), options), "");
+  options = {};
+  options.cauchy_start_factor = 0.5;
   EXPECT_NE(RejectionOf(PoseGraph(), options), "");
   options = {};
   options.max_num_iterations = -1;

@@ -6,15 +6,14 @@ order in which loops were found (decision 0003), and one wrong loop must not spo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from covinz.frames import Array, adjoint, inverse
-from covinz.types import LoopClosure, SegmentId
-from services.optimizer.components import Component
+from covinz.types import SegmentId
+from services.optimizer.components import Component, rows_of
 from services.optimizer.odometry_noise import step_covariances
 from services.optimizer.pose_graph import NoiseOf
 from services.optimizer.segments import Segment
@@ -49,23 +48,36 @@ class _Attached:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Bridge:
-    """A loop from a placed segment (a) to one that waits (b)."""
+class _Bridges:
+    """Loops from one segment (a) to another (b), one a row; segments by number, by age.
 
-    job_id: str
-    a: SegmentId
-    row_a: int
-    row_b: int
+    Attributes:
+        a: (L,) int64 segment.
+        b: (L,) int64 segment.
+        row_a: (L,) int64.
+        row_b: (L,) int64.
+        T_a_b: (L, 4, 4) between the two bodies.
+        rotation_var: (L,) of T_a_b per axis [rad^2].
+        translation_var: (L,) of T_a_b per axis [m^2].
+    """
+
+    a: NDArray[np.int64]
+    b: NDArray[np.int64]
+    row_a: NDArray[np.int64]
+    row_b: NDArray[np.int64]
     T_a_b: Array
-    rotation_var: float
-    translation_var: float
+    rotation_var: Array
+    translation_var: Array
+
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> _Bridges:
+        """Some of the rows, by mask or in another order."""
+        return _Bridges(*(getattr(self, name)[chosen] for name in _Bridges.__slots__))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Placement:
     """The best placement of a waiting segment; `support` counts the loops that agree with it."""
 
-    segment: SegmentId
     attached: _Attached
     support: float
 
@@ -84,27 +96,25 @@ def align_segments(component: Component, noise: NoiseOf) -> dict[SegmentId, Arra
 
     Source: decision 0003.
     """
-    tracks = {segment.id: _track(segment, noise) for segment in component.segments}
-    oldest, *rest = component.segments
-    attached = {oldest.id: _Attached(np.eye(4), int(np.argmin(oldest.log_index)))}
-    waiting = [segment.id for segment in rest]
-    between = _loops_between(component.loops)
-    found: dict[SegmentId, _Placement] = {}
-    newest = oldest.id
+    tracks = [_track(segment, noise) for segment in component.segments]
+    bridges = _both_ways(component)
+    attached = {0: _Attached(np.eye(4), int(np.argmin(component.segments[0].log_index)))}
+    waiting = list(range(1, len(tracks)))
+    found: dict[int, _Placement] = {}
+    newest = 0
     while waiting:
-        for segment in waiting:
-            if (newest, segment) in between:
-                bridges = _bridges(segment, attached, between, tracks)
-                found[segment] = _best_placement(segment, bridges, attached, tracks)
+        to_newest = set(bridges.b[bridges.a == newest].tolist())
+        for b in waiting:
+            if b in to_newest:
+                to_placed = bridges.of((bridges.b == b) & np.isin(bridges.a, list(attached)))
+                found[b] = _best_placement(to_placed, attached, tracks)
         if not found:
-            raise ValueError(f"no loops to {', '.join(map(str, waiting))}")
-        newest = max(
-            (segment for segment in waiting if segment in found),
-            key=lambda segment: found[segment].support,
-        )
+            names = (str(component.segments[b].id) for b in waiting)
+            raise ValueError(f"no loops to {', '.join(names)}")
+        newest = max((b for b in waiting if b in found), key=lambda b: found[b].support)
         attached[newest] = found.pop(newest).attached
         waiting.remove(newest)
-    return {segment: place.T_map_odom for segment, place in attached.items()}
+    return {component.segments[i].id: place.T_map_odom for i, place in attached.items()}
 
 
 def _track(segment: Segment, noise: NoiseOf) -> _Track:
@@ -118,86 +128,60 @@ def _track(segment: Segment, noise: NoiseOf) -> _Track:
     )
 
 
-def _loops_between(
-    loops: Sequence[LoopClosure],
-) -> dict[tuple[SegmentId, SegmentId], list[LoopClosure]]:
-    """Loops that span two segments, under both orders of the two."""
-    between: dict[tuple[SegmentId, SegmentId], list[LoopClosure]] = {}
-    for loop in loops:
-        query, cand = loop.query.segment, loop.cand.segment
-        if query != cand:
-            between.setdefault((query, cand), []).append(loop)
-            between.setdefault((cand, query), []).append(loop)
-    return between
-
-
-def _bridges(
-    segment: SegmentId,
-    attached: dict[SegmentId, _Attached],
-    between: dict[tuple[SegmentId, SegmentId], list[LoopClosure]],
-    tracks: dict[SegmentId, _Track],
-) -> list[_Bridge]:
-    """All loops between placed segments and `segment`, by job id."""
-    bridges = []
-    for a in attached:
-        for loop in between.get((a, segment), ()):
-            forward = loop.query.segment == segment
-            body_a, body_b = (loop.cand, loop.query) if forward else (loop.query, loop.cand)
-            variance = np.diag(loop.covariance if forward else _swapped(loop))
-            bridges.append(
-                _Bridge(
-                    job_id=loop.job_id,
-                    a=a,
-                    row_a=tracks[a].segment.row(body_a),
-                    row_b=tracks[segment].segment.row(body_b),
-                    T_a_b=loop.T_cand_query if forward else inverse(loop.T_cand_query),
-                    rotation_var=float(variance[:3].mean()),
-                    translation_var=float(variance[3:].mean()),
-                )
-            )
-    return sorted(bridges, key=lambda bridge: bridge.job_id)
-
-
-def _swapped(loop: LoopClosure) -> Array:
-    """(6, 6) covariance of T_query_cand, in the candidate body frame."""
-    A = adjoint(loop.T_cand_query)
-    return A @ loop.covariance @ A.T
+def _both_ways(component: Component) -> _Bridges:
+    """All loops that span two segments, by job id, each from its candidate and from its query."""
+    loops = sorted(
+        (loop for loop in component.loops if loop.query.segment != loop.cand.segment),
+        key=lambda loop: loop.job_id,
+    )
+    T_cand_query = np.array([loop.T_cand_query for loop in loops]).reshape(-1, 4, 4)
+    covariance = np.array([loop.covariance for loop in loops]).reshape(-1, 6, 6)
+    cand, row_cand = rows_of(component, [loop.cand for loop in loops])
+    query, row_query = rows_of(component, [loop.query for loop in loops])
+    # The covariance of T_query_cand is in the candidate body frame.
+    A = adjoint(T_cand_query)
+    variance = np.concatenate([covariance, A @ covariance @ A.swapaxes(1, 2)])
+    per_axis = np.einsum("nii->ni", variance)
+    both = _Bridges(
+        a=np.concatenate([cand, query]),
+        b=np.concatenate([query, cand]),
+        row_a=np.concatenate([row_cand, row_query]),
+        row_b=np.concatenate([row_query, row_cand]),
+        T_a_b=np.concatenate([T_cand_query, inverse(T_cand_query)]),
+        rotation_var=per_axis[:, :3].mean(axis=1),
+        translation_var=per_axis[:, 3:].mean(axis=1),
+    )
+    return both.of(np.arange(2 * len(loops)).reshape(2, -1).T.ravel())
 
 
 def _best_placement(
-    segment: SegmentId,
-    bridges: list[_Bridge],
-    attached: dict[SegmentId, _Attached],
-    tracks: dict[SegmentId, _Track],
+    bridges: _Bridges, attached: dict[int, _Attached], tracks: list[_Track]
 ) -> _Placement:
-    T_odom_b = tracks[segment].segment.T_odom_body[[bridge.row_b for bridge in bridges]]
-    T_map_a = np.array(
-        [
-            attached[bridge.a].T_map_odom @ tracks[bridge.a].segment.T_odom_body[bridge.row_a]
-            for bridge in bridges
-        ]
-    )
-    T_map_odom = T_map_a @ np.array([b.T_a_b for b in bridges]) @ inverse(T_odom_b)
-    count = min(len(bridges), MAX_HYPOTHESES)
-    tried = np.unique(np.linspace(0, len(bridges) - 1, count).round().astype(np.int64))
+    """Of the one segment that all bridges lead to."""
+    track = tracks[bridges.b[0]]
+    T_odom_b = track.segment.T_odom_body[bridges.row_b]
+    T_map_a = np.empty_like(T_odom_b)
+    for a, place in attached.items():
+        of_a = bridges.a == a
+        T_map_a[of_a] = place.T_map_odom @ tracks[a].segment.T_odom_body[bridges.row_a[of_a]]
+    T_map_odom = T_map_a @ bridges.T_a_b @ inverse(T_odom_b)
+    count = min(len(bridges.a), MAX_HYPOTHESES)
+    tried = np.unique(np.linspace(0, len(bridges.a) - 1, count).round().astype(np.int64))
     drift_a = _drift_between(tried, bridges, attached, tracks)
-    track = tracks[segment]
-    rows = np.array([bridge.row_b for bridge in bridges])
-    drift_rotation = drift_a[0] + _difference(track.rotation_var[rows], tried)
-    drift_translation = drift_a[1] + _difference(track.translation_var[rows], tried)
+    drift_rotation = drift_a[0] + _difference(track.rotation_var[bridges.row_b], tried)
+    drift_translation = drift_a[1] + _difference(track.translation_var[bridges.row_b], tried)
     support = _agreement(
         T_map_odom, tried, T_odom_b[:, :3, 3], bridges, drift_rotation, drift_translation
     ).sum(axis=1)
     best = int(tried[np.argmax(support)])
-    place = _Attached(T_map_odom[best], bridges[best].row_b)
-    return _Placement(segment, place, float(support.max()))
+    return _Placement(_Attached(T_map_odom[best], int(bridges.row_b[best])), float(support.max()))
 
 
 def _drift_between(
     tried: NDArray[np.int64],
-    bridges: list[_Bridge],
-    attached: dict[SegmentId, _Attached],
-    tracks: dict[SegmentId, _Track],
+    bridges: _Bridges,
+    attached: dict[int, _Attached],
+    tracks: list[_Track],
 ) -> tuple[Array, Array]:
     """(H, L) odometry variance per axis between the placed ends of two loops.
 
@@ -206,12 +190,14 @@ def _drift_between(
     On one segment that of the path between them; on two, that of the paths from each to the loop by
     which its segment was placed (segments placed in between are left out: this only widens a gate).
     """
-    owner = np.array([list(attached).index(bridge.a) for bridge in bridges])
-    same = owner[tried][:, None] == owner[None, :]
+    same = bridges.a[tried][:, None] == bridges.a[None, :]
     result = []
     for name in ("rotation_var", "translation_var"):
-        var = np.array([getattr(tracks[b.a], name)[b.row_a] for b in bridges])
-        origin = np.array([getattr(tracks[b.a], name)[attached[b.a].row] for b in bridges])
+        var, origin = np.empty(len(bridges.a)), np.empty(len(bridges.a))
+        for a, place in attached.items():
+            of_a = bridges.a == a
+            along = getattr(tracks[a], name)
+            var[of_a], origin[of_a] = along[bridges.row_a[of_a]], along[place.row]
         since = np.abs(var - origin)
         result.append(
             np.where(same, _difference(var, tried), since[tried][:, None] + since[None, :])
@@ -223,7 +209,7 @@ def _agreement(
     T_map_odom: Array,
     tried: NDArray[np.int64],
     p_odom_b: Array,
-    bridges: list[_Bridge],
+    bridges: _Bridges,
     drift_rotation: Array,
     drift_translation: Array,
 ) -> Array:
@@ -239,8 +225,7 @@ def _agreement(
     stayed = np.einsum("lij,lj->li", R, p_odom_b) + p
     distance = np.linalg.norm(moved - stayed, axis=2)
     lever = np.linalg.norm(p_odom_b[tried][:, None] - p_odom_b[None, :], axis=2)
-    rotation = np.array([bridge.rotation_var for bridge in bridges])
-    translation = np.array([bridge.translation_var for bridge in bridges])
+    rotation, translation = bridges.rotation_var, bridges.translation_var
     turn = rotation[tried][:, None] + drift_rotation
     rotation_var = turn + rotation
     translation_var = (

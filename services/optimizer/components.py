@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from covinz.types import LoopClosure, SegmentId
+import numpy as np
+from numpy.typing import NDArray
+
+from covinz.types import KeyframeId, LoopClosure, SegmentId
 from services.optimizer.segments import Segment
 
 
@@ -30,6 +33,21 @@ class Component:
     def num_keyframes(self) -> int:
         """Nodes of its pose graph."""
         return sum(len(segment) for segment in self.segments)
+
+
+def rows_of(
+    component: Component, keyframes: Sequence[KeyframeId]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(L,) number of the segment and (L,) row in it of each keyframe; KeyError if there is none."""
+    number = {
+        (segment.id.agent, segment.id.session): i for i, segment in enumerate(component.segments)
+    }
+    segments = np.array([number[kf.agent, kf.session] for kf in keyframes], dtype=np.int64)
+    seqs = np.array([kf.seq for kf in keyframes], dtype=np.int64)
+    rows = np.empty_like(seqs)
+    for i in np.unique(segments).tolist():
+        rows[segments == i] = component.segments[i].rows(seqs[segments == i])
+    return segments, rows
 
 
 def segment_groups(

@@ -89,15 +89,18 @@ def optimise(component: Component, config: OptimizerConfig) -> MapEstimate:
         graph = build_graph(component, config)
         if not component.loops:
             return _estimate(component, graph, graph.T_odom_body, 0, True)
-        T_map_odom = align_segments(component, noise_of(config))
-        by_segment = np.array([T_map_odom[segment.id] for segment in component.segments])
-        T_map_body = by_segment[graph.segment] @ graph.T_odom_body
-    iterations = 0
-    for factor in sorted({config.cauchy_start_factor, 1.0}, reverse=True):
-        result = minimised(graph, T_map_body, factor * config.cauchy_scale, config.max_iterations)
-        T_map_body = np.asarray(result.T_map_body)
-        iterations += result.num_iterations
-    return _estimate(component, graph, T_map_body, iterations, result.converged)
+        T_map_body = start_of(component, graph, config)
+    result = minimised(graph, T_map_body, pose_graph_options(config))
+    T_map_body = np.asarray(result.T_map_body)
+    return _estimate(component, graph, T_map_body, result.num_iterations, result.converged)
+
+
+def start_of(component: Component, graph: PoseGraph, config: OptimizerConfig) -> Array:
+    """(N, 4, 4) poses with every segment placed rigidly by its loops. Source: decision 0003."""
+    T_map_odom = align_segments(component, noise_of(config))
+    by_segment = np.array([T_map_odom[segment.id] for segment in component.segments])
+    T_map_body: Array = by_segment[graph.segment] @ graph.T_odom_body
+    return T_map_body
 
 
 def find_fault(
@@ -120,8 +123,17 @@ def find_fault(
     return Fault(component.loops[fails - 1].job_id, reason)
 
 
+def pose_graph_options(config: OptimizerConfig) -> covinz_core.PoseGraphOptions:
+    """The core's options for a map from scratch."""
+    return covinz_core.PoseGraphOptions(
+        cauchy_scale=config.cauchy_scale,
+        cauchy_start_factor=config.cauchy_start_factor,
+        max_num_iterations=config.max_iterations,
+    )
+
+
 def minimised(
-    graph: PoseGraph, T_map_body: Array, cauchy_scale: float, max_iterations: int
+    graph: PoseGraph, T_map_body: Array, options: covinz_core.PoseGraphOptions
 ) -> covinz_core.PoseGraphResult:
     """Minimise equation (1) from a start (N, 4, 4), with its node 0 as the gauge."""
     fixed = np.zeros(len(T_map_body), dtype=bool)
@@ -134,7 +146,7 @@ def minimised(
         graph.T_from_to,
         graph.information,
         graph.is_loop,
-        covinz_core.PoseGraphOptions(cauchy_scale=cauchy_scale, max_num_iterations=max_iterations),
+        options,
     )
 
 

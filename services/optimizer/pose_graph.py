@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from covinz.config import OdometryNoise, OptimizerConfig
 from covinz.frames import Array, inverse
 from covinz.types import KeyframeId
-from services.optimizer.components import Component
+from services.optimizer.components import Component, rows_of
 from services.optimizer.odometry_noise import (
     bounded,
     composed,
@@ -142,19 +142,17 @@ def _all_odometry(segments: tuple[Segment, ...], config: OptimizerConfig) -> Edg
 
 def _loop_edges(component: Component, node_of: NDArray[np.int64]) -> Edges:
     """Loop edges, weighted by the inverse of their covariance. Source: paper III-C."""
-    offset, start = {}, 0
-    for segment in component.segments:
-        offset[segment.id] = (start, segment)
-        start += len(segment)
+    lengths = [len(segment) for segment in component.segments]
+    start = np.concatenate([[0], np.cumsum(lengths)])
 
-    def node(keyframe: KeyframeId) -> int:
-        first, segment = offset[keyframe.segment]
-        return int(node_of[first + segment.row(keyframe)])
+    def nodes(keyframes: list[KeyframeId]) -> NDArray[np.int64]:
+        segment, row = rows_of(component, keyframes)
+        return node_of[start[segment] + row]
 
     loops = component.loops
     return Edges(
-        np.array([node(loop.cand) for loop in loops], dtype=np.int64),
-        np.array([node(loop.query) for loop in loops], dtype=np.int64),
+        nodes([loop.cand for loop in loops]),
+        nodes([loop.query for loop in loops]),
         np.array([loop.T_cand_query for loop in loops]).reshape(-1, 4, 4),
         _inverse_symmetric(np.array([loop.covariance for loop in loops]).reshape(-1, 6, 6)),
     )

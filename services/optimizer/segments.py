@@ -40,12 +40,13 @@ class Segment:
         """Log index of the keyframe that arrived first; orders segments by age."""
         return int(self.log_index.min())
 
-    def row(self, keyframe: KeyframeId) -> int:
-        """Row of a keyframe; raises KeyError when the segment has none of that name."""
-        row = int(np.searchsorted(self.seq, keyframe.seq))
-        if keyframe.segment != self.id or row == len(self.seq) or self.seq[row] != keyframe.seq:
-            raise KeyError(keyframe)
-        return row
+    def rows(self, seqs: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Rows of keyframes by their `seq`; raises KeyError when the segment lacks one."""
+        rows = np.searchsorted(self.seq, seqs)
+        missing = seqs[self.seq[np.minimum(rows, len(self.seq) - 1)] != seqs]
+        if len(missing):
+            raise KeyError(f"{self.id} has no keyframe {missing[0]}")
+        return rows
 
 
 @dataclass(slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from covinz.types import Keyframe, KeyframeId
+from covinz.types import Keyframe
 from services.optimizer.segments import GrowingSegment
-from tests.fleets import keyframe, session
+from tests.fleets import keyframe
 
 
 def grown(keyframes: list[tuple[int, Keyframe]]) -> GrowingSegment:
@@ -23,19 +23,14 @@ def test_rows_are_in_order_of_seq_whatever_the_order_of_the_log() -> None:
     assert segment.seq.tolist() == [0, 1, 3, 7]
     assert segment.log_index.tolist() == [10, 30, 0, 20]
     assert segment.first_log_index == 0
-    assert [segment.row(KeyframeId("a", session(0), seq)) for seq in (0, 1, 3, 7)] == [
-        0,
-        1,
-        2,
-        3,
-    ]
+    assert segment.rows(np.array([7, 0, 3, 1, 7])).tolist() == [3, 0, 2, 1, 3]
 
 
-@pytest.mark.parametrize(("agent", "seq"), [("a", 2), ("a", 9), ("b", 0)])
-def test_a_keyframe_that_is_not_there_has_no_row(agent: str, seq: int) -> None:
+@pytest.mark.parametrize("seq", [2, 9])
+def test_a_keyframe_that_is_not_there_has_no_row(seq: int) -> None:
     segment = grown([(0, keyframe("a", 0, 0)), (1, keyframe("a", 0, 3))])
-    with pytest.raises(KeyError):
-        segment.frozen().row(KeyframeId(agent, session(0), seq))
+    with pytest.raises(KeyError, match=f"no keyframe {seq}"):
+        segment.frozen().rows(np.array([0, seq]))
 
 
 def test_a_second_keyframe_of_the_same_name_is_ignored() -> None:
