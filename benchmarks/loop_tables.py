@@ -135,8 +135,9 @@ def fine_print(report: Report) -> str:
         text += (
             "- redkitchen: wrong is off by more than 0.5 m or 10°. Its ground truth is good to 4 cm"
             " and 1.2° a pair, which NEES adds to the covariance; without that the mean of `fast`"
-            f" is {number(fast['nees_mean_without_truth'])}. One kitchen, a few metres: it says"
-            " little about other places.\n"
+            f" is {number(fast['nees_mean_without_truth'])}, and of its inverse Hessian alone"
+            f" {number(fast['nees_analytic_mean_without_truth'])}. One kitchen, a few metres: it"
+            " says little about other places.\n"
         )
     if "fr1_rpy" in report:
         fast = report["fr1_rpy"]["fast"]
@@ -144,7 +145,8 @@ def fine_print(report: Report) -> str:
             f"- fr1_rpy: of {fast['jobs']} attempts {fast['estimated']} reach estimation by `fast`;"
             f" {fast['accepted']} are accepted, {fast['within_nees_22_5']} of them within a NEES of"
             f" 22.5 and {fast['beyond_nees_22_5']} beyond. Its odometry is the truth plus stated"
-            " drift.\n"
+            " drift. The camera turns at 1.3 rad/s (median) with a rolling shutter, which no method"
+            " models.\n"
         )
     return text + "- Elsewhere wrong is off by more than 0.3 m or 8°.\n"
 

@@ -46,6 +46,7 @@ from covinz.candidates import (
     short_name,
 )
 from covinz.codec import MalformedMessage
+from covinz.doctor import Verdict, examine, is_well
 from covinz.signals import stop_event
 
 app = typer.Typer(
@@ -160,6 +161,19 @@ def status(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> No
 
 
 @app.command()
+def doctor(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> None:
+    """Say why nothing arrives: credentials, connection, processes, robots."""
+    colours = {Verdict.GOOD: "green", Verdict.ODD: "yellow", Verdict.BAD: "red"}
+    findings = []
+    for finding in examine(_bus_config(endpoint, credentials)):
+        findings.append(finding)
+        console.print(f"[{colours[finding.verdict]}]{finding.verdict:4}[/]", end="  ")
+        _say(finding.text)
+    if not is_well(findings):
+        sys.exit(1)
+
+
+@app.command()
 def why(
     keyframe: Annotated[str, typer.Argument(help="AGENT, AGENT/SEQ or AGENT/SESSION/SEQ.")],
     folder: Annotated[
@@ -264,13 +278,18 @@ def _leave(number: int, _: FrameType | None) -> None:
     sys.exit(128 + number)
 
 
-@contextmanager
-def _connected(endpoint: str | None, credentials: Path | None) -> Iterator[Bus]:
+def _bus_config(endpoint: str | None, credentials: Path | None) -> config.BusConfig:
     settings = config.BusConfig()
     if endpoint is not None:
         settings = settings.model_copy(update={"endpoint": endpoint})
     if credentials is not None:
         settings = with_credentials(settings, credentials, endpoint)
+    return settings
+
+
+@contextmanager
+def _connected(endpoint: str | None, credentials: Path | None) -> Iterator[Bus]:
+    settings = _bus_config(endpoint, credentials)
     bus = ZenohBus.open(settings)
     try:
         if not bus.wait_connected(CONNECT_TIMEOUT_S):

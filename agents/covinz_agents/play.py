@@ -42,6 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         rate=arguments.rate,
         lockstep=arguments.lockstep,
         patience_s=arguments.patience,
+        credentials=arguments.credentials,
     )
     stop = stop_event()
     try:
@@ -69,6 +70,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("scenario", type=Path, help="scenario file")
     parser.add_argument("--endpoint", default=BusConfig().endpoint, help="the server's router")
+    parser.add_argument(
+        "--credentials", type=Path, help="folder with ROBOT.covinz for each, in place of --endpoint"
+    )
     parser.add_argument("--spool", type=Path, required=True, help="folder for the robots' spools")
     parser.add_argument("--seed", type=_count, help="instead of the scenario's seed")
     parser.add_argument("--summary", type=Path, help="JSON file to write when all is delivered")

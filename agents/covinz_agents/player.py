@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from covinz import codec
+from covinz.access.credentials import SUFFIX
 from covinz.agent import Agent
 from covinz.config import Config, validate
 from covinz.scenario import Scenario
@@ -46,6 +47,7 @@ class PlayOptions:
             when the one before is acknowledged, in sessions that depend on scenario and robot
             alone: the server's log is the same, bit by bit, every time.
         patience_s: Give up when the server acknowledged nothing for so long.
+        credentials: Folder with a file ROBOT.covinz for each; None: the server asks for none.
     """
 
     endpoint: str
@@ -54,6 +56,7 @@ class PlayOptions:
     rate: float | None = None
     lockstep: bool = False
     patience_s: float = 120.0
+    credentials: Path | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -153,9 +156,10 @@ def _open(part: Part, scenario: Scenario, options: PlayOptions, stack: ExitStack
     def on_rejected(keyframe: KeyframeId, _: Rejected) -> None:
         rejected.append(keyframe)
 
+    folder = options.credentials
     link = Agent(
         part.id,
-        options.endpoint,
+        options.endpoint if folder is None else folder / f"{part.id}{SUFFIX}",
         options.spool / f"{part.id}.sqlite",
         validate(Config, scenario.config, f"config of scenario {scenario.name}"),
         session,

@@ -187,7 +187,11 @@ std::vector<RigSolution> SearchOn(const LoopProblem& problem,
     }
     Insert(RefineToTheEnd(problem, trial, options), options, contenders);
   };
-  for (const RigHypothesis& hypothesis : SampleOn(problem, options)) {
+  const std::vector<RigHypothesis> hypotheses = SampleOn(problem, options);
+  const size_t num_refined =
+      std::min(hypotheses.size(), static_cast<size_t>(options.max_num_refined));
+  for (size_t i = 0; i < num_refined; ++i) {
+    const RigHypothesis& hypothesis = hypotheses[i];
     follow(RefineTrial(problem, hypothesis.inliers, hypothesis.T_cand_query, options));
   }
   for (const RigPoses& start : AlongTheValley(problem, contenders[0], options)) {

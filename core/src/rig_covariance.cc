@@ -295,8 +295,14 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
 
   const auto rows = inverse.middleRows<6>(q);
   const Eigen::MatrixXd cells_rows = influence.middleRows<6>(q);
+  // H^-1 (H_motions + i^2 H_keypoints) H^-1 as a sum of two positive terms, whatever i^2: rounding
+  // must not make it indefinite.
+  const Matrix6d whole = inverse.block<6, 6>(q, q);
+  const double excess = variance.independent - 1.0;
   const Matrix6d camera =
-      rows * (H_prior + variance.independent * H_keypoints) * rows.transpose() +
+      (excess < 0.0
+           ? Matrix6d(variance.independent * whole - excess * (rows * H_prior * rows.transpose()))
+           : Matrix6d(whole + excess * (rows * H_keypoints * rows.transpose()))) +
       variance.shared * cells.TimesCorrelation(cells_rows) * cells_rows.transpose();
   const Matrix6d Ad = AdjointSE3(query.T_rig_cam[0]);
   const auto to_body = [&Ad](const Matrix6d& of_camera) {
@@ -304,8 +310,7 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
     return Matrix6d(0.5 * (moved + moved.transpose()));
   };
   return {to_body(camera), std::sqrt(variance.independent) * refinement_options.sigma_px,
-          std::sqrt(variance.shared) * refinement_options.sigma_px,
-          to_body(inverse.block<6, 6>(q, q))};
+          std::sqrt(variance.shared) * refinement_options.sigma_px, to_body(whole)};
 }
 
 }  // namespace covinz

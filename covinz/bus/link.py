@@ -54,7 +54,7 @@ class LinkReport:
     def say_missing(self) -> None:
         """Say why there is no connection; may take seconds."""
         reason = why_not(self._config)
-        logger.warning("no way to the router at %s: %s; trying on", self._config.endpoint, reason)
+        logger.warning("no way to the router at %s, trying on: %s", self._config.endpoint, reason)
 
     def end(self) -> None:
         """Let `follow` return."""

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import covinz_core
 import numpy as np
 
-from covinz import frames
+from covinz import codec, frames
 from covinz.config import LoopSolverConfig
 from covinz.keyframes import CameraNotFound, KeyframeNotFound, KeyframeStore
 from covinz.types import (
@@ -73,7 +73,13 @@ class LoopSolver:
         except (ValueError, RuntimeError) as error:
             # What a robot sent is no input for the core: final, and nobody else's problem.
             return _rejection(job, "error", str(error))
-        return _outcome(job, result, 1e3 * (self._clock_s() - start_s))
+        outcome = _outcome(job, result, 1e3 * (self._clock_s() - start_s))
+        try:
+            codec.encode(outcome)
+        except ValueError as error:
+            # What cannot be sent must not end the worker, or the next one that is lent the job.
+            return _rejection(job, "error", str(error))
+        return outcome
 
     def prepared(self, job: LoopJob) -> Callable[[], Result]:
         """The numeric core's part of a job, everything fetched and ready to be called.

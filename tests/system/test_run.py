@@ -263,7 +263,7 @@ def test_a_user_can_ask_a_live_server(live_server: str, tmp_path: Path) -> None:
         (("run", str(SMALL), "--profile", "unknown"), "profile"),
         (("run", str(SMALL), "--out", "docs"), "docs is not empty"),
         (("run", str(SMALL), "--out", "README.md"), "cannot make the run folder README.md"),
-        (("status", "--endpoint", "tcp/127.0.0.1:9"), "nobody listens at tcp/127.0.0.1:9"),
+        (("status", "--endpoint", "tcp/127.0.0.1:9"), "tcp/127.0.0.1:9: nobody listens there"),
         (("status", "--endpoint", "nonsense"), "not an endpoint: 'nonsense'"),
         (("eval", "-g", "README.md", "README.md"), "README.md:"),
         (("why", "agent0", "--run", "docs"), "cannot read docs/candidates.csv"),

@@ -37,6 +37,7 @@ SYNTHETIC: dict[str, Any] = {
 ATTEMPTS = METHOD | {
     "jobs": 263, "wrong": 3, "estimated": 261, "within_nees_22_5": 177, "beyond_nees_22_5": 4,
     "nees_mean_without_truth": 121.5, "nees_analytic_mean": 456.7,
+    "nees_analytic_mean_without_truth": 789.0,
 }  # fmt: skip
 ACCURACY: dict[str, Any] = {
     "fast_over_paper": {"redkitchen": {"jobs": 263, "accepted": 2.83, "speedup_median": 6.61}},
@@ -62,7 +63,9 @@ def test_loops_of_images_are_all_there() -> None:
     row = "| 98 | 3 | 0.012 m, 0.05° | 5.4 | 456.7 | 1.1 % | 6.5 / 9.9 ms |"
     assert text.count(row) == 4
     assert "2.8 loops for each one of `paper`, 6.6 times as fast" in text
-    assert "without that the mean of `fast` is 121.5" in text
+    assert (
+        "without that the mean of `fast` is 121.5, and of its inverse Hessian alone 789.0" in text
+    )
     assert "of 263 attempts 261 reach estimation" in text
 
 
