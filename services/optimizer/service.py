@@ -44,6 +44,7 @@ from services.optimizer.doors import (
 )
 from services.optimizer.loop_store import LoopStore, StoreUnavailable
 from services.optimizer.maps import Maps
+from services.optimizer.optimisation import Optimise, optimise
 from services.optimizer.worker import OptimisationCrashed, OptimisationThread, Optimised
 
 logger = logging.getLogger(__name__)
@@ -59,8 +60,12 @@ class Submit(Protocol):
         """Queue a job."""
 
 
-def run(context: Context) -> None:
+def run(context: Context, run_one: Optimise = optimise) -> None:
     """Keep the maps until `context.inbox` raises Stopped.
+
+    Args:
+        context: What the process is given.
+        run_one: Optimises one map.
 
     Raises:
         DurableFileError: If the store cannot be used.
@@ -69,7 +74,7 @@ def run(context: Context) -> None:
     config, machine, deliver = context.config.optimizer, context.machine, context.inbox.put
     with ExitStack() as stack:
         store = stack.enter_context(closing(LoopStore(context.data_dir / "optimizer.sqlite")))
-        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine)))
+        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine, run_one)))
         optimizer = Optimizer(
             store,
             context.bus,
