@@ -127,6 +127,8 @@ class Optimizer:
         self._now_ns = now_ns
         self._maps = Maps(config)
         self._corrections = {c.keyframe.agent: c for c in store.corrections()}
+        # Of all logs: robots take no correction that is older than the one they have.
+        self._last_stamp_ns = max((c.stamp_ns for c in self._corrections.values()), default=0)
         self._counters: Counter[str] = Counter(faulty_loops=len(store.faults()))
         self._last_job_ms = 0.0
         self._log_id, self._cursor, self._head = "", 0, 0
@@ -309,15 +311,17 @@ class Optimizer:
     def _publish(self, revision: int, segments: set[SegmentId]) -> None:
         """Corrections to the agents whose newest segment is among `segments`."""
         corrections: list[Correction] = []
+        stamp_ns = max(self._now_ns(), self._last_stamp_ns)
         for segment in self._maps.newest_segments():
             found = self._maps.placement(segment)
             if segment in segments and found is not None:
                 previous = self._corrections.get(segment.agent)
-                corrections.append(make_correction(*found, previous, self._config, self._now_ns()))
+                corrections.append(make_correction(*found, previous, self._config, stamp_ns))
         self._store.publish(revision, corrections)
         self._uncorrected -= segments
         for correction in corrections:
             agent = correction.keyframe.agent
             self._corrections[agent] = correction
+            self._last_stamp_ns = max(self._last_stamp_ns, correction.stamp_ns + 1)
             self._counters["jumps"] += correction.jumped
             self._bus.put(keyexprs.agent_correction(agent), codec.encode(correction))
