@@ -44,6 +44,7 @@ from services.optimizer.doors import (
 )
 from services.optimizer.loop_store import LoopStore, StoreUnavailable
 from services.optimizer.maps import Maps
+from services.optimizer.optimisation import Optimise, optimise
 from services.optimizer.worker import OptimisationCrashed, OptimisationThread, Optimised
 
 logger = logging.getLogger(__name__)
@@ -59,8 +60,12 @@ class Submit(Protocol):
         """Queue a job."""
 
 
-def run(context: Context) -> None:
+def run(context: Context, run_one: Optimise = optimise) -> None:
     """Keep the maps until `context.inbox` raises Stopped.
+
+    Args:
+        context: What the process is given.
+        run_one: Optimises one map.
 
     Raises:
         DurableFileError: If the store cannot be used.
@@ -69,7 +74,7 @@ def run(context: Context) -> None:
     config, machine, deliver = context.config.optimizer, context.machine, context.inbox.put
     with ExitStack() as stack:
         store = stack.enter_context(closing(LoopStore(context.data_dir / "optimizer.sqlite")))
-        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine)))
+        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine, run_one)))
         optimizer = Optimizer(
             store,
             context.bus,
@@ -122,6 +127,8 @@ class Optimizer:
         self._now_ns = now_ns
         self._maps = Maps(config)
         self._corrections = {c.keyframe.agent: c for c in store.corrections()}
+        # Of all logs: robots take no correction that is older than the one they have.
+        self._last_stamp_ns = max((c.stamp_ns for c in self._corrections.values()), default=0)
         self._counters: Counter[str] = Counter(faulty_loops=len(store.faults()))
         self._last_job_ms = 0.0
         self._log_id, self._cursor, self._head = "", 0, 0
@@ -304,15 +311,17 @@ class Optimizer:
     def _publish(self, revision: int, segments: set[SegmentId]) -> None:
         """Corrections to the agents whose newest segment is among `segments`."""
         corrections: list[Correction] = []
+        stamp_ns = max(self._now_ns(), self._last_stamp_ns)
         for segment in self._maps.newest_segments():
             found = self._maps.placement(segment)
             if segment in segments and found is not None:
                 previous = self._corrections.get(segment.agent)
-                corrections.append(make_correction(*found, previous, self._config, self._now_ns()))
+                corrections.append(make_correction(*found, previous, self._config, stamp_ns))
         self._store.publish(revision, corrections)
         self._uncorrected -= segments
         for correction in corrections:
             agent = correction.keyframe.agent
             self._corrections[agent] = correction
+            self._last_stamp_ns = max(self._last_stamp_ns, correction.stamp_ns + 1)
             self._counters["jumps"] += correction.jumped
             self._bus.put(keyexprs.agent_correction(agent), codec.encode(correction))

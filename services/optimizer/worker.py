@@ -62,6 +62,7 @@ class OptimisationThread:
         config: Section `optimizer`.
         deliver: Gets the Optimised or OptimisationCrashed of every job.
         machine: For the thread.
+        run: Optimises one map.
     """
 
     def __init__(
@@ -69,8 +70,10 @@ class OptimisationThread:
         config: OptimizerConfig,
         deliver: Callable[[object], object],
         machine: Machine = THIS_MACHINE,
+        run: Optimise = optimise,
     ) -> None:
         self._config = config
+        self._run_one = run
         self._deliver = deliver
         self._changed = machine.condition()  # guards what follows
         self._jobs: deque[tuple[tuple[Component, ...], int]] = deque()
@@ -99,7 +102,7 @@ class OptimisationThread:
                     return
                 components, epoch = self._jobs.popleft()
             try:
-                result: object = run_job(components, epoch, self._config)
+                result: object = run_job(components, epoch, self._config, self._run_one)
             except BaseException as error:
                 result = OptimisationCrashed(error)
             self._deliver(result)

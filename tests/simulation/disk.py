@@ -100,9 +100,10 @@ class Disk:
     def left_by_power_cut(self, draw: random.Random) -> dict[str, bytes]:
         """What is there after a power cut: of what was not synced anything or nothing."""
         image = {}
+        share = draw.choice([0.0, 0.5, 0.9, 1.0])
         for name, one in sorted(self._files.items()):
-            kept = [change for change in one.since if draw.random() < 0.5]
-            if kept and kept[-1][1] is not None:
+            kept = [change for change in one.since if draw.random() < share]
+            if kept and kept[-1][1] is not None and draw.random() < 0.5:
                 offset, data = kept[-1]
                 assert data is not None
                 kept[-1] = offset, data[: SECTOR * draw.randint(0, len(data) // SECTOR)]

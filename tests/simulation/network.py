@@ -31,7 +31,7 @@ class Weather:
 
     Attributes:
         loss: Share of messages that vanish.
-        repeats: Share of questions that are heard twice.
+        repeats: Share of questions and publications that are heard twice.
         lag: Share of messages that are much later than others, ...
         max_lag_s: ... by up to so much.
     """
@@ -123,7 +123,7 @@ class Network:
         return delay_s
 
     def is_repeated(self) -> bool:
-        """Whether a question is heard twice."""
+        """Whether a message is heard twice."""
         return self._draw.random() < self.weather.repeats
 
 
@@ -280,7 +280,8 @@ class SimulatedBus:
         if not network.is_online(self):
             return
         for subscription in network.declared("subscribe", key):
-            network.send(("put", name, key), _publish(subscription, key, bytes(payload)))
+            for _ in range(1 + network.is_repeated()):
+                network.send(("put", name, key), _publish(subscription, key, bytes(payload)))
 
     def subscribe(self, key: str, callback: Callable[[str, bytes], None]) -> Declaration:
         """See `Bus.subscribe`."""

@@ -20,8 +20,8 @@ class Incident:
     Attributes:
         at_s: When.
         kind: kill, power_cut, kill_at_write, power_cut_at_write, hang, cut_off, disk_full,
-            clock_jump, router.
-        target: Process; empty for the router.
+            disk_lost, clock_jump, router.
+        target: Process; "server" is all of them but the robots; empty for the router.
         lasts_s: How long, or until the process is started again.
         amount: Writes until a kill at a write; seconds of a clock jump.
     """
@@ -49,6 +49,8 @@ class Plan:
         period_s: Mean time between two.
         resets: Share of keyframes before which the odometry starts anew.
         neighbours: Rule for rigs.
+        solving_s: What a job takes, more or less.
+        optimisation_s: What the optimisation of one map takes.
         max_spool_bytes: Limit of the spools, if not the usual one.
         has_poison: One of the jobs kills every worker that takes it.
         ends_with_router: The router is restarted when all is mended, so that every robot asks
@@ -63,6 +65,8 @@ class Plan:
     period_s: float
     resets: float
     neighbours: str
+    solving_s: float
+    optimisation_s: float
     max_spool_bytes: int | None
     has_poison: bool
     ends_with_router: bool
@@ -73,7 +77,8 @@ class Plan:
         """The schedule, for people."""
         lines = [
             f"seed {self.seed}: {self.num_robots} robots x {self.num_keyframes} keyframes every "
-            f"{self.period_s:.2f} s, resets {self.resets:g}, rigs by {self.neighbours}, spool "
+            f"{self.period_s:.2f} s, resets {self.resets:g}, rigs by {self.neighbours}, solving "
+            f"{self.solving_s:g} s, optimising {self.optimisation_s:g} s, spool "
             f"{self.max_spool_bytes or 'unlimited'}{', a poison job' if self.has_poison else ''}",
             f"  until {FAULTS_S:g} s: {self.weather}",
             *(f"  {incident}" for incident in self.incidents),
@@ -114,7 +119,9 @@ def draw_plan(seed: int) -> Plan:
         num_keyframes=draw.randint(6, 10),
         period_s=draw.choice([0.2, 1.0, 3.0]),
         resets=draw.choice([0.0, 0.0, 0.2]),
-        neighbours=draw.choice(["index", "geometry"]),
+        neighbours=draw.choice(["index", "index", "geometry"]),
+        solving_s=draw.choice([0.1, 0.5, 4.0]),
+        optimisation_s=draw.choice([0.0, 0.3, 3.0]),
         max_spool_bytes=draw.choice([None, None, 4000]),
         has_poison=draw.random() < 0.15,
         ends_with_router=draw.random() < 0.5,
@@ -128,19 +135,33 @@ def _incident(draw: random.Random, num_robots: int) -> Incident:
     kind = draw.choice(
         [
             *["kill", "power_cut", "kill_at_write", "power_cut_at_write"] * 2,
-            *["hang", "hang", "cut_off", "cut_off", "disk_full", "clock_jump", "router"],
+            *["kill_at_write", "power_cut_at_write", "power_cut_of_all", "disk_lost"],
+            *[
+                "hang",
+                "hang",
+                "cut_off",
+                "cut_off",
+                "disk_full",
+                "clock_jump",
+                "router",
+                "disk_lost",
+            ],
         ]
     )
     at_s = round(draw.uniform(0.0, FAULTS_S), 3)
     lasts_s = draw.choice([0.05, 0.5, 2.0, 8.0, 20.0]) * draw.uniform(0.5, 1.0)
     if kind == "hang" and draw.random() < 0.2:
         lasts_s = 75.0  # longer than a lease
+    if kind == "power_cut_of_all":
+        return Incident(at_s, "power_cut", "server", lasts_s)
+    if kind == "disk_lost":  # of ingest: then there is a new log
+        return Incident(at_s, kind, "ingest", lasts_s)
     if kind == "router":
         return Incident(at_s, kind, "", min(lasts_s, 5.0))
     if kind == "clock_jump":
         return Incident(at_s, kind, draw.choice(names), 0.0, draw.choice([-86400, -60, 60, 86400]))
     if kind.endswith("at_write") or kind == "disk_full":
-        with_disk = [name for name in names if not name.startswith("worker")]
-        amount = draw.randint(1, 40) if kind.endswith("at_write") else 0
+        with_disk = [*SERVICES, *(name for name in names if name.startswith("robot"))]
+        amount = draw.randint(1, 25) if kind.endswith("at_write") else 0
         return Incident(at_s, kind, draw.choice(with_disk), lasts_s, amount)
     return Incident(at_s, kind, draw.choice(names), lasts_s)

@@ -93,6 +93,12 @@ class Process:
         self._end()
         self._scheduler.after(restart_s, self.start)
 
+    def lose_disk(self, restart_s: float) -> None:
+        """It ends at once, and everything that it had on its disk is gone."""
+        self._network.trace("loses its disk", self.name, "")
+        self.kill(restart_s)
+        self._image = {}
+
     def kill_at_write(self, writes: int, restart_s: float, is_power_cut: bool) -> None:
         """The same, in the middle of a commit: `writes` writes from now."""
         if self.is_running:

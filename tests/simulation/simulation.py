@@ -16,11 +16,14 @@ from pathlib import Path
 
 from covinz import client, codec, keyexprs
 from covinz.bus import Bus
+from covinz.config import OptimizerConfig
 from covinz.service import Context, serve_on
-from covinz.types import Lease, LoopJob
+from covinz.types import KeyframeId, Lease, LoopJob
 from services.ingest import service as ingest
 from services.loop_solver import service as loop_solver
 from services.optimizer import service as optimizer
+from services.optimizer.components import Component
+from services.optimizer.optimisation import MapEstimate, optimise
 from services.place_recognition import service as place_recognition
 from tests.simulation import world
 from tests.simulation.disk import Layer
@@ -30,7 +33,7 @@ from tests.simulation.plan import FAULTS_S, NUM_WORKERS, SERVICES, Incident, Pla
 from tests.simulation.process import Main, Process, Wrap
 from tests.simulation.robot import Robot
 from tests.simulation.scheduler import Killed, Scheduler
-from tests.simulation.verdict import Evidence, collect, faults_of
+from tests.simulation.verdict import Evidence, collect, contents, faults_of
 
 # After the last fault the system is idle within this. [s]
 RECOVERY_S = 400.0
@@ -121,6 +124,8 @@ class Simulation:
         self._calm_s = max([FAULTS_S, *ends])
         self._job_of: dict[str, str] = {}
         self._poison = ""
+        # Keyframes that were on a disk which was lost, or may have been.
+        self._forgiven: set[KeyframeId] = set()
         # How often a worker was really lost, or could be taken for it, with a job in hand.
         self._losses: Counter[str] = Counter()
         self._processes = {
@@ -176,7 +181,7 @@ class Simulation:
         runs: dict[str, Run] = {
             "ingest": ingest.run,
             "place_recognition": place_recognition.run,
-            "optimizer": optimizer.run,
+            "optimizer": self._optimise_in,
             **self._sabotage.runs,
         }
         mains: dict[str, Main] = {
@@ -199,6 +204,17 @@ class Simulation:
         work = functools.partial(self._work, name)
         loop_solver.run(context, lambda config, store: world.TruthfulSolver(config, store, work))
 
+    def _optimise_in(self, context: Context) -> None:
+        """Optimisations take time, so that things happen meanwhile."""
+        machine = context.machine
+        assert isinstance(machine, SimulatedMachine)
+
+        def slowly(component: Component, config: OptimizerConfig) -> MapEstimate:
+            machine.sleep(self._plan.optimisation_s)
+            return optimise(component, config)
+
+        optimizer.run(context, slowly)
+
     def _work(self, name: str, job: LoopJob) -> None:
         """The time that a job takes, or the end of the process that touches it."""
         process = self._processes[name]
@@ -208,7 +224,7 @@ class Simulation:
             self._lose_job(name)
             process.kill(restart_s=0.5)
             raise Killed
-        process.machine.sleep(0.05 + int(job.id[:4], 16) / 65536)
+        process.machine.sleep(self._plan.solving_s * (0.5 + int(job.id[:4], 16) / 65536))
 
     def _operate(self, machine: SimulatedMachine, bus: Bus, _: Path) -> int:
         """Ask until everything is idle twice in a row, then collect what there is."""
@@ -233,6 +249,12 @@ class Simulation:
         if incident.kind == "router":
             self._restart_router(lasts_s)
             return
+        if incident.target == "server":
+            self._lose_all_jobs()
+            for name, process in self._processes.items():
+                if not name.startswith(("robot", "operator")):
+                    process.kill(lasts_s, is_power_cut=True)
+            return
         process = self._processes[incident.target]
         if incident.target == "place_recognition":  # it cannot tell what became of open leases
             self._lose_all_jobs()
@@ -249,6 +271,9 @@ class Simulation:
             case "cut_off":
                 self._lose_job(process.name)
                 process.cut_off(lasts_s)
+            case "disk_lost":
+                self._forgiven.update(name for robot in self._robots for name in robot.sent)
+                process.lose_disk(lasts_s)
             case "disk_full":
                 process.fill_disk(lasts_s)
             case "clock_jump":
@@ -297,12 +322,14 @@ class Simulation:
         return f"{robots}; not running: {down or 'nobody'}"
 
     def _judge(self, evidence: Evidence) -> str | None:
+        self._counts.update(contents(evidence))
         found = faults_of(
             evidence,
             self._config,
             self._robots,
             self._losses,
             self._poison,
+            self._forgiven,
             self._plan.ends_with_router,
         )
         return "\n".join(found) or None

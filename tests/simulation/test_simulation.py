@@ -16,7 +16,7 @@ from tests.simulation.simulation import simulate
 NUM_SEEDS = 240
 SEEDS_PER_TEST = 20
 # A defect is found within so many seeds.
-MAX_SEEDS_TO_FIND = 120
+MAX_SEEDS_TO_FIND = 60
 CHECKOUT = Path(__file__).parents[2]
 
 

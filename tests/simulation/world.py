@@ -17,7 +17,7 @@ import numpy as np
 
 from covinz.config import Config, LoopSolverConfig
 from covinz.frames import Array, inverse, so3_exp, transform
-from covinz.keyframes import KeyframeStore
+from covinz.keyframes import CameraNotFound, KeyframeNotFound, KeyframeStore
 from covinz.types import (
     Camera,
     Features,
@@ -142,11 +142,21 @@ class TruthfulSolver:
 
     def solve(self, job: LoopJob) -> Outcome:
         """See `LoopSolver.solve`."""
-        for member in (*job.query_rig, *job.cand_rig):
-            keyframe = self._store.keyframe(member.keyframe)
-            self._store.camera(keyframe.camera_hash)
+        try:
+            for member in (*job.query_rig, *job.cand_rig):
+                keyframe = self._store.keyframe(member.keyframe)
+                self._store.camera(keyframe.camera_hash)
+        except KeyframeNotFound:
+            return _missing(job, "keyframe_missing")
+        except CameraNotFound:
+            return _missing(job, "camera_missing")
         self._work(job)
         return outcome(job)
+
+
+def _missing(job: LoopJob, stage: str) -> Rejection:
+    """Of a log that was lost meanwhile."""
+    return Rejection(job.id, job.query, job.cand, stage, 0.0, 0.0, "", 0.0)
 
 
 def _pose(member: RigMember) -> Array:

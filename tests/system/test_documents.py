@@ -174,7 +174,7 @@ def test_the_guide_for_agents_runs(endpoint: str, folder: Path) -> None:
             case other:
                 pytest.fail(f"{document}:{block.line}: nobody runs {other!r}")
     counts = keyframes_of(endpoint)
-    assert counts["robot-1"] == 12 + NUM_IMAGES + NUM_IMAGES
+    assert counts["robot-1"] == 12 + 3 * NUM_IMAGES
     assert counts["robot-2"] == 1
     assert names["T_map_body"].shape == (4, 4)
     assert "idle" in said[0] or "at work" in said[0]

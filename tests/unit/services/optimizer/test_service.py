@@ -401,6 +401,17 @@ def test_another_log_has_other_loops(bench: Bench) -> None:
     assert [summary.num_loops for summary in bench.maps().maps] == [1]
 
 
+def test_corrections_of_another_log_are_news_though_the_clock_was_set_back(bench: Bench) -> None:
+    # The clock of the bench stands still; robots ignore what is no later than what they have.
+    bench.begin()
+    bench.read(PAIR)
+    before = bench.heard(2)
+    bench.begin(OTHER_LOG)
+    bench.read(PAIR, OTHER_LOG)
+    after = bench.heard(2)
+    assert min(c.stamp_ns for c in after) > max(c.stamp_ns for c in before)
+
+
 def test_loops_that_come_before_any_log_are_kept(bench: Bench) -> None:
     assert bench.bring(BRIDGE) == Stored()
     bench.restart()
