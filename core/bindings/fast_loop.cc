@@ -63,6 +63,7 @@ void BindStageOptions(nb::module_& m) {
       .def_rw("min_distinct_rad", &RigSelectionOptions::min_distinct_rad)
       .def_rw("min_significance", &RigSelectionOptions::min_significance)
       .def_rw("min_log_likelihood_ratio", &RigSelectionOptions::min_log_likelihood_ratio)
+      .def_rw("max_valley_sigmas", &RigSelectionOptions::max_valley_sigmas)
       .def("check", &RigSelectionOptions::Check);
   nb::class_<RefinementCovarianceOptions>(m, "RefinementCovarianceOptions",
                                           "Options of the covariance.")

@@ -305,6 +305,8 @@ RigAdjustmentState Step(const RigAdjustment& problem,
   for (int c = 1; c < problem.num_cameras; ++c) {
     Eigen::Isometry3d& T = next.T_world_cam[static_cast<size_t>(c)];
     T = T * ExpSE3(delta.segment<6>(Unknown(c)));
+    // Rounding adds up over iterations and rounds, and inverses are taken by transposing.
+    T.linear() = Eigen::Quaterniond(Eigen::Matrix3d(T.linear())).normalized().toRotationMatrix();
   }
   for (size_t block = 0; block < problem.blocks.size(); ++block) {
     const std::array<Eigen::Vector3d, kTrackLanes> steps =

@@ -103,15 +103,31 @@ std::vector<RigHypothesis> SampleOn(const LoopProblem& problem, const FastLoopOp
   return EstimateRigHypotheses(problem.matched.rigs, sampling, ~options.seed);
 }
 
+Matrix6d CovarianceOf(const LoopProblem& problem,
+                      const RigSolution& solution,
+                      const FastLoopOptions& options) {
+  return EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
+                                      solution.refinement, options.refinement, options.covariance)
+      .covariance;
+}
+
+// Whether a solution's own covariance allows for another one.
+bool AllowsFor(const Matrix6d& covariance,
+               const RigSolution& solution,
+               const RigSolution& other,
+               const FastLoopOptions& options) {
+  const Vector6d xi =
+      LogSE3(solution.refinement.T_cand_query.inverse() * other.refinement.T_cand_query);
+  const double sigmas = options.selection.max_valley_sigmas;
+  return xi.dot(covariance.llt().solve(xi)) <= sigmas * sigmas;
+}
+
 // Starts to both sides of a solution, along the direction that it determines least in proportion to
 // what makes solutions distinct.
 std::vector<RigPoses> AlongTheValley(const LoopProblem& problem,
                                      const RigSolution& solution,
                                      const FastLoopOptions& options) {
-  const Matrix6d covariance =
-      EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
-                                   solution.refinement, options.refinement, options.covariance)
-          .covariance;
+  const Matrix6d covariance = CovarianceOf(problem, solution, options);
   Vector6d unit;
   unit.head<3>().setConstant(options.selection.min_distinct_rad);
   unit.tail<3>().setConstant(options.selection.min_distinct_m);
@@ -197,6 +213,7 @@ std::vector<RigSolution> SearchOn(const LoopProblem& problem,
   for (const RigPoses& start : AlongTheValley(problem, contenders[0], options)) {
     follow(RefineTrial(problem, contenders[0].score.inliers, start, options));
   }
+  const Matrix6d covariance = CovarianceOf(problem, contenders[0], options);
   Solutions kept = {contenders[0]};
   for (size_t i = 1; i < contenders.size(); ++i) {
     const RigSolution& other = contenders[i];
@@ -204,9 +221,15 @@ std::vector<RigSolution> SearchOn(const LoopProblem& problem,
         options.selection.min_significance) {
       continue;
     }
-    Insert(RefineToTheEnd(problem, other.Poses(),
-                          Union(contenders[0].score.inliers, other.score.inliers), options),
-           options, kept);
+    // Over the inliers of both a solution in one valley with the best one ends where that does. A
+    // second optimum may do so too, drawn by the other's inliers: then it stays a rival.
+    RigSolution merged = RefineToTheEnd(
+        problem, other.Poses(), Union(contenders[0].score.inliers, other.score.inliers), options);
+    const bool is_drawn = !AreDistinct(merged.refinement.T_cand_query,
+                                       contenders[0].refinement.T_cand_query, options.selection) &&
+                          !AllowsFor(covariance, contenders[0], other, options);
+    Insert(std::move(merged), options, kept);
+    if (is_drawn) Insert(other, options, kept);
   }
   return kept;
 }

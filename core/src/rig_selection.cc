@@ -60,7 +60,7 @@ void RigSelectionOptions::Check() const {
     throw std::invalid_argument("RigSelectionOptions: errors and cells must be positive");
   }
   if (!(min_distinct_m >= 0.0 && min_distinct_rad >= 0.0 && min_significance > 0.0 &&
-        min_log_likelihood_ratio >= 0.0)) {
+        min_log_likelihood_ratio >= 0.0 && max_valley_sigmas > 0.0)) {
     throw std::invalid_argument("RigSelectionOptions: limits must not be negative");
   }
 }

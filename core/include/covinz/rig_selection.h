@@ -27,6 +27,10 @@ struct RigSelectionOptions {
   double min_significance = 3.0;
   // However unanimous the witnesses: a likelihood ratio of 1000 is asked for.
   double min_log_likelihood_ratio = 7.0;
+  // A solution that ends at the best one when refined over the inliers of both is in one valley
+  // with it if it is within so many standard deviations of the best one's own covariance; else it
+  // remains a rival. [chi-square, 6 degrees of freedom, 99.9 %]
+  double max_valley_sigmas = 4.74;
 
   void Check() const;  // throws std::invalid_argument
 };
