@@ -149,11 +149,16 @@ class Agent:
         return keyframe.id
 
     def new_session(self) -> str:
-        """The odometry was reset: later keyframes begin a new segment; returns its session."""
+        """The odometry was reset: later keyframes begin a new segment; returns its session.
+
+        Waits for a callback under way: none is given a correction of the old session after this.
+        """
         with self._sending:
             self._session = new_ulid(self._machine)
-            self._feed.new_session(self._session)
-            return self._session
+            session = self._session
+            self._feed.new_session(session)
+        self._feed.finish_call()  # not inside: the callback may send
+        return session
 
     def wait_delivered(self, timeout_s: float | None = None) -> bool:
         """Wait until the server has acknowledged everything; False when time ran out first."""

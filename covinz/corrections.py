@@ -52,6 +52,7 @@ class CorrectionFeed:
         self._session = session
         self._latest: Correction | None = None
         self._is_news = False
+        self._calling = False
         self._asking = True  # what was published before this agent came
         self._stopping = False
         self._subscription = bus.subscribe(
@@ -72,6 +73,12 @@ class CorrectionFeed:
             self._session = session
             self._latest = None
             self._is_news = False
+
+    def finish_call(self) -> None:
+        """Wait for the end of a callback under way; in the callback itself there is no wait."""
+        with self._changed:
+            if threading.current_thread() is not self._thread:
+                self._changed.wait_for(lambda: self._stopping or not self._calling)
 
     def refresh(self) -> None:
         """Ask for the latest correction: the link was down, publications may have been lost."""
@@ -109,8 +116,9 @@ class CorrectionFeed:
                     return
                 asking, self._asking = self._asking, False
                 news, self._is_news = (self._latest if self._is_news else None), False
-            if news is not None and self._on_correction is not None:
-                self._call(self._on_correction, news)
+                self._calling = news is not None
+            if news is not None:
+                self._call(news)
             if asking:
                 self._ask()
 
@@ -122,8 +130,12 @@ class CorrectionFeed:
         for reply in replies:
             self._receive(reply)
 
-    def _call(self, callback: Callable[[Correction], None], news: Correction) -> None:
+    def _call(self, news: Correction) -> None:
         try:
-            callback(news)
+            if self._on_correction is not None:
+                self._on_correction(news)
         except Exception:  # the robot's code: its mistake must not end the feed
             logger.exception("the callback for corrections failed")
+        with self._changed:
+            self._calling = False
+            self._changed.notify_all()

@@ -47,6 +47,11 @@ class Calibrations:
         """A calibration of a keyframe of the log; None when the store has none."""
         return self._cameras.get(camera_hash)
 
+    def forget_missing(self) -> None:
+        """Another log follows: what was not there for the last one may be there for it."""
+        for name in [name for name, camera in self._cameras.items() if camera is None]:
+            del self._cameras[name]
+
     def close(self) -> None:
         """End the waiting."""
         self._closed.set()

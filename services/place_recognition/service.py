@@ -116,6 +116,8 @@ class PageGate:
                 self._changed.wait_for(lambda: self._open or self._places)
                 self._places -= 1
             self._calibrations.fetch(event)
+        else:
+            self._calibrations.forget_missing()
         self._inbox.put(event)
 
     def page_done(self) -> None:

@@ -181,6 +181,36 @@ def test_while_a_callback_runs_only_the_latest_waits(hub: Hub, server: InMemoryB
     bus.close()
 
 
+def test_a_new_session_waits_for_a_callback_of_the_old_one(hub: Hub, server: InMemoryBus) -> None:
+    running, go_on = threading.Event(), threading.Event()
+    order: list[str] = []
+
+    def slow(_: Correction) -> None:
+        feed.finish_call()  # from inside there is no wait
+        running.set()
+        assert go_on.wait(WAIT_S)
+        order.append("callback")
+
+    def start_anew() -> None:
+        feed.new_session(OTHER_SESSION)
+        waiting.set()
+        feed.finish_call()
+        order.append("new session")
+
+    bus, waiting = hub.join(), threading.Event()
+    feed = CorrectionFeed(bus, "a0", SESSION, slow)
+    publish(server, correction(1))
+    assert running.wait(WAIT_S)
+    robot = threading.Thread(target=start_anew)
+    robot.start()
+    assert waiting.wait(WAIT_S)
+    go_on.set()
+    robot.join(WAIT_S)
+    assert order == ["callback", "new session"]
+    feed.close(1.0)
+    bus.close()
+
+
 def test_the_callback_may_close_the_feed(hub: Hub, server: InMemoryBus) -> None:
     closed = threading.Event()
     bus = hub.join()

@@ -71,3 +71,12 @@ def test_closing_ends_the_wait() -> None:
     thread.join(20)
     assert not thread.is_alive()
     assert calibrations.camera(CAMERA.hash) is None
+
+
+def test_with_another_log_what_was_missing_is_asked_for_again() -> None:
+    store = Store()
+    calibrations = Calibrations(store)
+    calibrations.fetch(page(CAMERA.hash, "f" * 16))
+    calibrations.forget_missing()
+    calibrations.fetch(page(CAMERA.hash, "f" * 16))
+    assert store.asked == [CAMERA.hash, "f" * 16, "f" * 16]
