@@ -27,6 +27,8 @@ _HEAD = """# Results
 Written by `benchmarks/results_page.py` from the reports in `benchmarks/results`; do not edit. Every
 scenario is run by `benchmarks/large_scenarios.py` in lockstep with one loop solver, so that its
 figures can be had again; times are those of {machine}, two cores, and include what else ran there.
+The larger scenarios were run with profile `paper`, when that was the default; `covinz run --profile
+paper` does it again.
 
 A loop is wrong when it is off the truth by more than 0.3 m or 8 degrees; it bends the map when it
 kept its weight there and its two ends are wrong in the map too. ATE *before* aligns every odometry
@@ -70,9 +72,9 @@ def page(
 
 
 def demo_section(demo: Mapping[str, Any]) -> str:
-    """The demo with every seed, and the worst of them."""
+    """The demo with every seed that was run, and the worst of them."""
     worst = demo["worst"]
-    text = "\n## The demo, with three seeds\n\n`scenarios/hall.yaml`, by `benchmarks/demo.py`.\n\n"
+    text = "\n## The demo\n\n`scenarios/hall.yaml`, by `benchmarks/demo.py`.\n\n"
     reports = demo["reports"].items()
     text += table(_SUMMARY, [summary(f"seed {seed}", report) for seed, report in reports])
     share = 100 * worst["wrong_share"]
