@@ -41,6 +41,7 @@ void PackedDescriptors::Pack(const Descriptors& descriptors) {
   words_.assign(num_padded * num_words, 0);
   sums_.assign(num_padded, 0);
   squared_norms_.assign(num_padded, 0);
+  if (num_bytes_ == 0) return;
   for (size_t i = 0; i < rows_.size(); ++i) {
     const uint8_t* bytes = descriptors.data() + static_cast<size_t>(rows_[i]) * num_bytes_;
     uint64_t* words = words_.data() + i * num_words;
