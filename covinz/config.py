@@ -81,6 +81,8 @@ class IngestConfig(Section):
     max_cameras_per_agent: PositiveInt = 256
     # What an agent is told to wait when the inbox is full. [s]
     retry_after_s: Positive = 0.5
+    # The same when the disk is full: it goes on this long after there is room. [s]
+    trouble_retry_after_s: Positive = 2.0
 
 
 class RigConfig(Section):
