@@ -167,6 +167,9 @@ class PlaceRecognitionConfig(Section):
     consistent_queries: Count = 0
     # A lease ends after this long without an outcome. [s]
     lease_s: Positive = 60.0
+    # Jobs that may wait for a worker; of more the least useful are given up, and say so. One takes
+    # about 8 kB, and 10,000 are two minutes of work for one solver. [decision 0028]
+    max_pending_jobs: PositiveInt = 10_000
     # So many failed leases and the job goes to the dead-letter list. [decision 0006]
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]

@@ -1,4 +1,4 @@
-"""The durable memory of jobs: attempts and outcomes by job id, for one keyframe log.
+"""The durable memory of jobs: failures and outcomes by job id, for one keyframe log.
 
 Jobs themselves are not here: they are made again from the log. What the journal holds for a job
 that does not exist yet, or no longer under a changed configuration, waits until it does.
@@ -22,7 +22,7 @@ KIND = FileKind(
     INSERT INTO log VALUES (0, '');
     CREATE TABLE job (
         id TEXT PRIMARY KEY,
-        attempts INTEGER NOT NULL,
+        attempts INTEGER NOT NULL,     -- that failed
         state TEXT,     -- 'done' or 'dead'; NULL while there is no outcome
         kind TEXT,      -- of the outcome: 'loop' or 'rejection'
         outcome BLOB    -- as it came over the wire
@@ -36,12 +36,12 @@ class Memory:
     """What is known of a job from before.
 
     Attributes:
-        attempts: Leases given so far.
+        failures: Leases so far that ended with the loss of their worker, or too late.
         state: PENDING, or DONE or DEAD with an outcome.
         outcome: Result of the job.
     """
 
-    attempts: int = 0
+    failures: int = 0
     state: JobState = JobState.PENDING
     outcome: Outcome | None = None
 
@@ -77,19 +77,24 @@ class Journal:
         ).fetchone()
         if row is None:
             return Memory()
-        attempts, state, outcome = row
+        failures, state, outcome = row
         if state is None:
-            return Memory(attempts)
-        return Memory(attempts, JobState(state), codec.decode_outcome(outcome))
+            return Memory(failures)
+        return Memory(failures, JobState(state), codec.decode_outcome(outcome))
 
-    def note_attempt(self, job_id: str, attempts: int) -> None:
-        """A job has been lent for the `attempts`-th time."""
+    def note_failures(self, job_id: str, failures: int) -> None:
+        """A job has failed so many times."""
         self._begin()
         self._db.execute(
             "INSERT INTO job (id, attempts) VALUES (?, ?)"
             " ON CONFLICT (id) DO UPDATE SET attempts = excluded.attempts",
-            (job_id, attempts),
+            (job_id, failures),
         )
+
+    def forget(self, job_id: str) -> None:
+        """A job is to be done anew."""
+        self._begin()
+        self._db.execute("DELETE FROM job WHERE id = ?", (job_id,))
 
     def note_outcome(self, outcome: Outcome, state: JobState) -> None:
         """A job is DONE or DEAD with this outcome."""

@@ -59,20 +59,20 @@ def journal(reopen: Reopen) -> Journal:
 
 
 def test_what_was_committed_survives(journal: Journal, reopen: Reopen) -> None:
-    journal.note_attempt(job_id(1), 1)
-    journal.note_attempt(job_id(1), 2)
-    journal.note_attempt(job_id(2), 1)
+    journal.note_failures(job_id(1), 1)
+    journal.note_failures(job_id(1), 2)
+    journal.note_failures(job_id(2), 1)
     journal.note_outcome(loop(2), JobState.DONE)
     journal.note_outcome(rejection(3, "dead_letter"), JobState.DEAD)
     journal.commit()
     again = reopen()
     assert again.log_id == LOG
-    assert (again.recall(job_id(1)).attempts, again.recall(job_id(1)).state) == (
+    assert (again.recall(job_id(1)).failures, again.recall(job_id(1)).state) == (
         2,
         JobState.PENDING,
     )
     known = again.recall(job_id(2))
-    assert (known.attempts, known.state) == (1, JobState.DONE)
+    assert (known.failures, known.state) == (1, JobState.DONE)
     assert known.outcome is not None
     assert codec.encode(known.outcome) == codec.encode(loop(2))
     assert again.recall(job_id(3)).state is JobState.DEAD
@@ -90,7 +90,7 @@ def test_what_was_not_committed_is_lost(journal: Journal, reopen: Reopen) -> Non
 
 def test_an_unknown_job_has_no_past(journal: Journal) -> None:
     known = journal.recall(job_id(9))
-    assert (known.attempts, known.state, known.outcome) == (0, JobState.PENDING, None)
+    assert (known.failures, known.state, known.outcome) == (0, JobState.PENDING, None)
 
 
 def test_the_same_log_keeps_and_another_forgets(journal: Journal, reopen: Reopen) -> None:
@@ -108,11 +108,11 @@ def test_the_same_log_keeps_and_another_forgets(journal: Journal, reopen: Reopen
 
 
 def test_a_dead_job_may_still_be_done(journal: Journal) -> None:
-    journal.note_attempt(job_id(1), 3)
+    journal.note_failures(job_id(1), 3)
     journal.note_outcome(rejection(1, "dead_letter"), JobState.DEAD)
     journal.note_outcome(loop(1), JobState.DONE)
     known = journal.recall(job_id(1))
-    assert (known.attempts, known.state) == (3, JobState.DONE)
+    assert (known.failures, known.state) == (3, JobState.DONE)
     assert isinstance(known.outcome, LoopClosure)
 
 
