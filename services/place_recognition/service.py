@@ -22,6 +22,7 @@ from covinz.machine import THIS_MACHINE, Machine
 from covinz.service import Context, Inbox, StatusRequest
 from covinz.types import Camera, LogEntry, LogPage, LogView, Status
 from services.place_recognition.calibrations import Calibrations
+from services.place_recognition.dead_letters import DeadLetters
 from services.place_recognition.desk import (
     Desk,
     JobsAsked,
@@ -62,7 +63,9 @@ def run(context: Context) -> None:
         path = context.data_dir / "place_recognition.sqlite"
         journal = stack.enter_context(closing(Journal(path)))
         dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, journal)
-        desk = Desk(dispatcher, journal, context.bus)
+        dead_letters = DeadLetters(store, config.loop_solver, context.data_dir, machine)
+        stack.callback(dead_letters.close)
+        desk = Desk(dispatcher, journal, context.bus, dead_letters.save)
         service = PlaceRecognition(
             context.instance, new_recognizer, dispatcher, desk, gate, machine.monotonic_s
         )
