@@ -318,6 +318,14 @@ class OptimizerConfig(Section):
     jump_rad: Positive = 0.05
 
 
+class HealthConfig(Section):
+    """How a process is watched; source: decision 0030."""
+
+    # A process whose main loop is busy with one step for longer ends itself, to be started again.
+    # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
+    hang_s: Positive = 60.0
+
+
 class AgentConfig(Section):
     """A robot's side of the upload."""
 
@@ -394,6 +402,7 @@ class Config(Section):
     worker: WorkerConfig = WorkerConfig()
     optimizer: OptimizerConfig = OptimizerConfig()
     agent: AgentConfig = AgentConfig()
+    health: HealthConfig = HealthConfig()
 
 
 def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:
