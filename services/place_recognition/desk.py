@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.codec import MalformedMessage
+from covinz.damage import CommitFailed, Trouble
 from covinz.service import Inbox
 from covinz.types import (
     Duplicate,
@@ -19,6 +20,7 @@ from covinz.types import (
     LeaseRequest,
     LoopJob,
     Rejected,
+    Rejection,
     Stored,
     UploadReply,
 )
@@ -26,6 +28,9 @@ from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
 logger = logging.getLogger(__name__)
+
+# While the journal cannot be written, e.g. since the disk is full, it is tried so often. [s]
+RETRY_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +82,8 @@ class Desk:
     """Where workers take jobs and bring outcomes.
 
     `handle` only changes the dispatcher; `settle` commits the journal and then answers, so that an
-    acknowledgement that a worker has seen is never forgotten.
+    acknowledgement that a worker has seen is never forgotten. While the journal cannot be written
+    nothing is lent or acknowledged: workers ask again.
 
     Args:
         dispatcher: Has the jobs.
@@ -98,7 +104,22 @@ class Desk:
         self._bus = bus
         self._save = save
         self._acks: list[tuple[Query, UploadReply]] = []
-        self.counters: Counter[str] = Counter()
+        # Given up, and nobody was told yet.
+        self._dead: list[tuple[LoopJob, Rejection]] = []
+        self._shed: list[Rejection] = []
+        self._trouble: Trouble | None = None
+        self._retry_at_s = 0.0  # while there is trouble
+        self._counters: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What came and was odd; ``cannot_store.<trouble>`` is 1 while the journal cannot be."""
+        trouble = {f"cannot_store.{self._trouble.value}": 1} if self._trouble else {}
+        return self._counters + Counter(trouble)
+
+    def next_deadline_s(self) -> float | None:
+        """When `settle` has something to do next, if nothing else happens."""
+        return self._retry_at_s if self._trouble else self._dispatcher.next_deadline_s()
 
     def handle(self, event: DeskEvent, now_s: float) -> None:
         """Take one event in."""
@@ -123,8 +144,15 @@ class Desk:
 
     def settle(self, now_s: float) -> None:
         """Make what was handled durable, then tell those who wait."""
+        if self._trouble and now_s < self._retry_at_s:
+            return self._refuse_acks()
         effects = self._dispatcher.advance(now_s)
-        self._journal.commit()
+        self._dead += effects.dead
+        self._shed += effects.shed
+        if not self._commit(now_s):
+            for query in (*(query for query, _ in effects.granted), *effects.turned_away):
+                query.drop()
+            return self._refuse_acks()
         for query, ack in self._acks:
             query.reply(codec.encode(ack))
         self._acks.clear()
@@ -132,23 +160,48 @@ class Desk:
             query.reply(codec.encode(lease))
         for query in effects.turned_away:
             query.drop()
-        for job, rejection in effects.dead:
+        self._tell_given_up()
+        return None
+
+    def _tell_given_up(self) -> None:
+        for job, rejection in self._dead:
             logger.error("job %s is dead: %s", rejection.job_id, rejection.detail)
             self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
             self._save(job)
-        if effects.shed:
-            logger.error("%d jobs given up: too many wait", len(effects.shed))
-        for rejection in effects.shed:
+        if self._shed:
+            logger.error("%d jobs given up: too many wait", len(self._shed))
+        for rejection in self._shed:
             self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
+        self._dead.clear()
+        self._shed.clear()
+
+    def _commit(self, now_s: float) -> bool:
+        try:
+            self._journal.commit()
+        except CommitFailed as error:
+            if self._trouble is not error.trouble:
+                logger.error("no job is lent and no outcome acknowledged: %s", error)
+            self._trouble, self._retry_at_s = error.trouble, now_s + RETRY_S
+            return False
+        if self._trouble:
+            logger.warning("the journal can be written again")
+            self._trouble = None
+        return True
+
+    def _refuse_acks(self) -> None:
+        """Their senders ask again; what they brought is noted."""
+        for query, _ in self._acks:
+            query.drop()
+        self._acks.clear()
 
     def _bring(self, query: Query) -> None:
         done = codec.decode(query.payload, JobDone)
         if (objection := self._dispatcher.objection(done.log_id)) is not None:
-            self.counters["outcomes_of_other_logs"] += 1
+            self._counters["outcomes_of_other_logs"] += 1
             self._acks.append((query, objection))
             return
         fresh = self._dispatcher.finish(done.outcome, done.worker)
-        self.counters["duplicate_outcomes"] += not fresh
+        self._counters["duplicate_outcomes"] += not fresh
         self._acks.append((query, Stored() if fresh else Duplicate()))
 
     def _retry(self, query: Query) -> None:
@@ -162,7 +215,7 @@ class Desk:
             self._acks.append((query, Rejected("not_given_up", f"job {job_id} is no dead letter")))
 
     def _refuse(self, event: DeskEvent, error: MalformedMessage) -> None:
-        self.counters["malformed"] += 1
+        self._counters["malformed"] += 1
         logger.warning("refused %s: %s", type(event).__name__, error)
         if isinstance(event, OutcomeBrought):
             event.query.reply(codec.encode(Rejected("malformed", str(error))))
