@@ -27,8 +27,8 @@ from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError
 from covinz.durable import DurableFileError
 from covinz.inbox import Inbox, Stopped
+from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
-from covinz.telemetry import set_up_logging
 from covinz.watch import Guard, Watch
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
@@ -89,7 +89,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     # code is ever interrupted half-way by a signal handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
     arguments = _arguments(name)
-    set_up_logging(name, instance_name(arguments.id))
+    set_up_logging(name, instance_name(arguments.id), form=arguments.log_format)
     try:
         config = configuration.load(arguments.config)
         arguments.data.mkdir(parents=True, exist_ok=True)
@@ -178,6 +178,9 @@ def _arguments(name: str) -> argparse.Namespace:
     )
     parser.add_argument(
         "--id", metavar="NAME", default=name, help="which one of several; {host}: this machine's"
+    )
+    parser.add_argument(
+        "--log-format", type=LogFormat, choices=list(LogFormat), help="[COVINZ_LOG_FORMAT or text]"
     )
     return parser.parse_args()
 
