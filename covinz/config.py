@@ -81,6 +81,8 @@ class IngestConfig(Section):
     max_cameras_per_agent: PositiveInt = 256
     # What an agent is told to wait when the inbox is full. [s]
     retry_after_s: Positive = 0.5
+    # The same when the disk is full: it goes on this long after there is room. [s]
+    trouble_retry_after_s: Positive = 2.0
 
 
 class RigConfig(Section):
@@ -316,6 +318,14 @@ class OptimizerConfig(Section):
     jump_rad: Positive = 0.05
 
 
+class HealthConfig(Section):
+    """How a process is watched; source: decision 0030."""
+
+    # A process whose main loop is busy with one step for longer ends itself, to be started again.
+    # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
+    hang_s: Positive = 60.0
+
+
 class AgentConfig(Section):
     """A robot's side of the upload."""
 
@@ -414,6 +424,7 @@ class Config(Section):
     optimizer: OptimizerConfig = OptimizerConfig()
     agent: AgentConfig = AgentConfig()
     niceness: NicenessConfig = NicenessConfig()
+    health: HealthConfig = HealthConfig()
 
 
 def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:
