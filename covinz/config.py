@@ -423,8 +423,8 @@ class Config(Section):
     worker: WorkerConfig = WorkerConfig()
     optimizer: OptimizerConfig = OptimizerConfig()
     agent: AgentConfig = AgentConfig()
-    niceness: NicenessConfig = NicenessConfig()
     health: HealthConfig = HealthConfig()
+    niceness: NicenessConfig = NicenessConfig()
 
 
 def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:
