@@ -29,6 +29,7 @@ from covinz.durable import DurableFileError
 from covinz.inbox import Inbox, Stopped
 from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
+from covinz.niceness import give_way
 from covinz.watch import Guard, Watch
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
@@ -93,6 +94,8 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     try:
         config = configuration.load(arguments.config)
         arguments.data.mkdir(parents=True, exist_ok=True)
+        # Before there are threads: each has a niceness of its own.
+        give_way(config.niceness.model_dump().get(name, 0))
         bus = ZenohBus.open(config.bus, wait_s=0.0)
     except (ConfigError, BusError, OSError) as error:
         logger.error("%s", error)
