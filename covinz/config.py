@@ -395,6 +395,27 @@ class FeatureConfig(Section):
         return self
 
 
+Niceness = Annotated[int, Field(ge=0, le=19)]
+
+
+class NicenessConfig(Section):
+    """How much a process gives way to the others of the machine; source: decision 0031.
+
+    Only while there is more to do than the processors can: each step is a fifth less.
+    """
+
+    # All that robots send and get goes through it.
+    router: Niceness = 0
+    # Robots wait for its answers.
+    ingest: Niceness = 0
+    # May lag behind the log, but no loop can be found before it has found the candidates.
+    place_recognition: Niceness = 3
+    # Corrections come from it.
+    optimizer: Niceness = 3
+    # Takes all that is left.
+    loop_solver: Niceness = 6
+
+
 class Config(Section):
     """All sections."""
 
@@ -406,6 +427,7 @@ class Config(Section):
     optimizer: OptimizerConfig = OptimizerConfig()
     agent: AgentConfig = AgentConfig()
     health: HealthConfig = HealthConfig()
+    niceness: NicenessConfig = NicenessConfig()
 
 
 def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:

@@ -27,8 +27,9 @@ from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError
 from covinz.durable import DurableFileError
 from covinz.inbox import Inbox, Stopped
+from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
-from covinz.telemetry import set_up_logging
+from covinz.niceness import give_way
 from covinz.watch import Guard, Watch
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
@@ -89,10 +90,12 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     # code is ever interrupted half-way by a signal handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
     arguments = _arguments(name)
-    set_up_logging(name, instance_name(arguments.id))
+    set_up_logging(name, instance_name(arguments.id), form=arguments.log_format)
     try:
         config = configuration.load(arguments.config)
         arguments.data.mkdir(parents=True, exist_ok=True)
+        # Before there are threads: each has a niceness of its own.
+        give_way(config.niceness.model_dump().get(name, 0))
         bus = ZenohBus.open(config.bus, wait_s=0.0)
     except (ConfigError, BusError, OSError) as error:
         logger.error("%s", error)
@@ -178,6 +181,9 @@ def _arguments(name: str) -> argparse.Namespace:
     )
     parser.add_argument(
         "--id", metavar="NAME", default=name, help="which one of several; {host}: this machine's"
+    )
+    parser.add_argument(
+        "--log-format", type=LogFormat, choices=list(LogFormat), help="[COVINZ_LOG_FORMAT or text]"
     )
     return parser.parse_args()
 

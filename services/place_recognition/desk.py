@@ -12,6 +12,7 @@ from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.codec import MalformedMessage
 from covinz.damage import CommitFailed, Trouble
+from covinz.logs import about
 from covinz.service import Inbox
 from covinz.types import (
     Duplicate,
@@ -165,7 +166,12 @@ class Desk:
 
     def _tell_given_up(self) -> None:
         for job, rejection in self._dead:
-            logger.error("job %s is dead: %s", rejection.job_id, rejection.detail)
+            logger.error(
+                "job %s is dead: %s",
+                rejection.job_id,
+                rejection.detail,
+                extra=about(keyframe=rejection.query, job=rejection.job_id),
+            )
             self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
             self._save(job)
         if self._shed:

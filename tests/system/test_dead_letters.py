@@ -14,7 +14,8 @@ import yaml
 from covinz_agents.rendered import RenderedRobot
 
 from covinz import client, codec, keyexprs
-from covinz.bus import BusConfig, ZenohBus
+from covinz.bus import ZenohBus
+from covinz.config import BusConfig
 from covinz.keyframes import RemoteKeyframeStore
 from covinz.saved_job import read_saved_job, saved_job_path
 from covinz.types import (
