@@ -25,7 +25,8 @@ logger = logging.getLogger(__name__)
 # Pauses between attempts to reach a router that is not there grow from ... to ... [s]
 _MIN_RETRY_S = 0.1
 _MAX_RETRY_S = 1.0
-# `close` waits so long for an attempt under way, which then closes what it opens. [s]
+# `close` waits so long for an attempt under way, which then closes what it opens, and so long for
+# the router, which Zenoh itself gives ten seconds to take its leave. [s]
 _CLOSE_S = 1.0
 
 
@@ -256,7 +257,9 @@ class ZenohBus:
             session, self._session = self._session, None
             self._declarations.clear()
         if session is not None:
-            session.close()
+            leaving = threading.Thread(target=_leave, args=(session,), name="leave", daemon=True)
+            leaving.start()
+            leaving.join(_CLOSE_S)
 
     def _connect(self) -> None:
         """Try until the router is there; from then on Zenoh itself reconnects for ever."""
@@ -319,6 +322,13 @@ class ZenohBus:
     def _raise_if_interrupted(self) -> None:
         if self._interrupted.is_set():
             raise BusClosed("the bus was closed or interrupted")
+
+
+def _leave(session: zenoh.Session) -> None:
+    try:
+        session.close()
+    except zenoh.ZError as error:  # the router hangs
+        logger.debug("the session did not end in order: %s", error)
 
 
 def _from_own_thread(callback: Callable[[Any], None]) -> Any:
