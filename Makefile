@@ -79,7 +79,7 @@ FIRST ?= 0
 simulate: setup
 	$(BIN)/python -m tests.simulation $(if $(SEED),--seed $(SEED),--seeds $(SEEDS) --first $(FIRST))
 
-BENCHMARKS := scenarios demo map_floor loop_geometry matching place_recognition map_from_scratch pose_graph cauchy_scale
+BENCHMARKS := scenarios demo map_floor matching place_recognition map_from_scratch pose_graph cauchy_scale
 
 # Ceres, which pose_graph and map_from_scratch compare with, comes with the core's tests.
 bench: setup

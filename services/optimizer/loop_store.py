@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -105,16 +105,14 @@ class LoopStore:
                 [(fault.reason, fault.job_id) for fault in faults],
             )
 
-    def begin_log(self, log_id: str, keep: Collection[str]) -> None:
-        """Follow another log: forget corrections and all loops but those of job ids `keep`.
+    def begin_log(self, log_id: str) -> None:
+        """Follow another log: forget loops and corrections.
 
         Raises:
             StoreUnavailable: If it could not be stored.
         """
         with self._commit() as db:
-            known = [job_id for (job_id,) in db.execute("SELECT job_id FROM loop")]
-            forgotten = [(job_id,) for job_id in known if job_id not in keep]
-            db.executemany("DELETE FROM loop WHERE job_id = ?", forgotten)
+            db.execute("DELETE FROM loop")
             db.execute("DELETE FROM correction")
             db.execute("UPDATE log SET log_id = ?", (log_id,))
         self._log_id = log_id

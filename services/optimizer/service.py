@@ -132,8 +132,6 @@ class Optimizer:
         self._counters: Counter[str] = Counter(faulty_loops=len(store.faults()))
         self._last_job_ms = 0.0
         self._log_id, self._cursor, self._head = "", 0, 0
-        # Loops that came before the log they belong to was known to be another one.
-        self._fresh: set[str] = set()
         self._uncorrected: set[SegmentId] = set()
         self._epoch = 0
         self._running = False
@@ -200,7 +198,12 @@ class Optimizer:
         for query in queries:
             verdict = admit(query.payload)
             if isinstance(verdict, LoopClosure):
-                admitted.append((query, verdict))
+                if self._is_of_this_log(verdict):
+                    admitted.append((query, verdict))
+                else:
+                    # The worker may know of a new log before us; it asks ingest which one there is.
+                    self._counters["loops_of_other_logs"] += 1
+                    reply(query, RetryAfter(RETRY_AFTER_S, f"not of log {self._store.log_id}"))
             else:
                 self._counters["rejected_loops"] += 1
                 logger.warning("rejected a loop: %s: %s", verdict.code, verdict.reason)
@@ -216,10 +219,13 @@ class Optimizer:
             return
         for (query, loop), is_new in zip(admitted, new, strict=True):
             if is_new:
-                self._fresh.add(loop.job_id)
                 self._maps.add_loop(loop)
                 logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand)
             reply(query, Stored() if is_new else Duplicate())
+
+    def _is_of_this_log(self, loop: LoopClosure) -> bool:
+        """Whether the loop belongs to the log that the store is of; it may not say."""
+        return self._store.log_id != "" and loop.log_id in ("", self._store.log_id)
 
     # --- the log -----------------------------------------------------------------------------
 
@@ -227,14 +233,10 @@ class Optimizer:
         """Read the log from its beginning; another log has other loops."""
         logger.info("reading log %s from its beginning", log_id)
         if self._store.log_id != log_id:
-            # A worker may know of the new log before us: what waits for its keyframes stays.
-            is_first = self._store.log_id == ""
-            keep = self._maps.pending if is_first else self._maps.pending & self._fresh
-            self._store.begin_log(log_id, keep)
+            self._store.begin_log(log_id)
             self._corrections.clear()
         self._counters["faulty_loops"] = len(self._store.faults())
         self._maps.clear()
-        self._fresh.clear()
         self._uncorrected.clear()
         for loop in self._store.loops():
             self._maps.add_loop(loop)

@@ -97,6 +97,10 @@ class Desk:
 
     def _bring(self, query: Query) -> None:
         done = codec.decode(query.payload, JobDone)
+        if (objection := self._dispatcher.objection(done.log_id)) is not None:
+            self.counters["outcomes_of_other_logs"] += 1
+            self._acks.append((query, objection))
+            return
         fresh = self._dispatcher.finish(done.outcome)
         self.counters["duplicate_outcomes"] += not fresh
         self._acks.append((query, Stored() if fresh else Duplicate()))

@@ -34,6 +34,7 @@ from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
 LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+OTHER_LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAW"
 PATIENCE_S = 20.0
 
 
@@ -123,6 +124,7 @@ def test_a_request_is_held_until_there_is_a_job(office: Office, ask: Ask) -> Non
     office.step(seconds=1.0)
     lease = codec.decode(asked.replies()[0], Lease)
     assert (lease.job.id, lease.worker, lease.attempt) == (job(0).id, "w", 1)
+    assert lease.log_id == LOG
 
 
 def test_a_request_ends_empty_after_the_long_poll(office: Office, ask: Ask) -> None:
@@ -148,6 +150,18 @@ def test_an_outcome_is_acknowledged_once_it_is_durable(office: Office, ask: Ask)
     office.journal.close()
     with closing(Journal(office.path)) as again:
         assert again.recall(job(0).id).outcome == rejection(0)
+
+
+def test_an_outcome_of_a_lost_log_is_refused_for_good(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(0), OTHER_LOG))
+    office.step()
+    answer = codec.decode_upload_reply(asked.replies()[0])
+    assert isinstance(answer, Rejected) and answer.code == "other_log"
+    assert office.journal.recall(job(0).id).outcome is None
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(0), LOG))
+    office.step()
+    assert codec.decode_upload_reply(asked.replies()[0]) == Stored()
 
 
 def test_a_worker_s_end_returns_its_job(office: Office, ask: Ask, hub: Hub) -> None:
