@@ -45,9 +45,11 @@ from covinz.candidates import (
     read_candidates,
     short_name,
 )
+from covinz.cli_spool import show_spool
 from covinz.codec import MalformedMessage
 from covinz.doctor import Verdict, examine, is_well
 from covinz.signals import stop_event
+from covinz.spool import SpoolError
 
 app = typer.Typer(
     help="Collaborative SLAM server: robots send keyframes, covinz puts them into one map.",
@@ -56,6 +58,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(roster_commands.app, name="roster")
+app.command("spool")(show_spool)
 console = Console()
 errors = Console(stderr=True)
 
@@ -317,6 +320,7 @@ def main() -> None:
         CandidatesError,
         MalformedMessage,
         OSError,
+        SpoolError,
         config.ConfigError,
         durable.DurableFileError,
         client.ServerUnavailable,

@@ -51,7 +51,7 @@ def why_not(config: BusConfig) -> str:
     with link:
         if not endpoint.is_encrypted:
             return (
-                "somebody listens, but does not answer to plain connections: the router hangs, or the "
+                "somebody listens, but does not answer plain connections: the router hangs, or the "
                 "server has a roster and needs credentials (NAME.covinz)"
             )
         assert own is not None, "sessions with TLS are not opened without credentials"
