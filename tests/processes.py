@@ -90,6 +90,11 @@ class Processes:
         self._started[name].wait()
         self._wait(name, there=False)
 
+    def pid(self, name: str) -> int:
+        """The process that was started last under a name; fails when it has ended."""
+        assert self._started[name].poll() is None, self.log_of(name)
+        return self._started[name].pid
+
     def freeze(self, name: str) -> None:
         """Let a service hang: nothing of it runs until `thaw`, and its connections stay open."""
         self._started[name].send_signal(signal.SIGSTOP)

@@ -25,9 +25,10 @@ logger = logging.getLogger(__name__)
 # Pauses between attempts to reach a router that is not there grow from ... to ... [s]
 _MIN_RETRY_S = 0.1
 _MAX_RETRY_S = 1.0
-# `close` waits so long for an attempt under way, which then closes what it opens, and so long for
-# the router, which Zenoh itself gives ten seconds to take its leave. [s]
+# `close` waits so long for an attempt under way, which then closes what it opens. [s]
 _CLOSE_S = 1.0
+# A session closes in milliseconds, or never: its router may have vanished. [s]
+_SESSION_CLOSE_S = 2.0
 
 
 class _ZenohQuery:
@@ -257,9 +258,7 @@ class ZenohBus:
             session, self._session = self._session, None
             self._declarations.clear()
         if session is not None:
-            leaving = threading.Thread(target=_leave, args=(session,), name="leave", daemon=True)
-            leaving.start()
-            leaving.join(_CLOSE_S)
+            _close(session)
 
     def _connect(self) -> None:
         """Try until the router is there; from then on Zenoh itself reconnects for ever."""
@@ -285,7 +284,7 @@ class ZenohBus:
             self._session = None if is_late else session
             waiting = list(self._declarations)
         if is_late:
-            session.close()
+            _close(session)
             return False
         for declaration in waiting:
             self._apply(declaration, session)
@@ -324,11 +323,20 @@ class ZenohBus:
             raise BusClosed("the bus was closed or interrupted")
 
 
-def _leave(session: zenoh.Session) -> None:
-    try:
-        session.close()
-    except zenoh.ZError as error:  # the router hangs
-        logger.debug("the session did not end in order: %s", error)
+def _close(session: zenoh.Session) -> None:
+    """Close a session, but do not wait for ever."""
+
+    def close() -> None:
+        try:
+            session.close()
+        except zenoh.ZError as error:
+            logger.debug("closing the session: %s", error)
+
+    closing = threading.Thread(target=close, name="bus-close", daemon=True)
+    closing.start()
+    closing.join(_SESSION_CLOSE_S)
+    if closing.is_alive():
+        logger.warning("the session does not close; leaving it as it is")
 
 
 def _from_own_thread(callback: Callable[[Any], None]) -> Any:

@@ -34,9 +34,10 @@ from covinz.types import (
     UploadReply,
 )
 from services.optimizer.components import Component
-from services.optimizer.doors import Asked, LoopBrought
+from services.optimizer.doors import RETRY_AFTER_S, Asked, LoopBrought
 from services.optimizer.loop_store import LoopStore
 from services.optimizer.service import Optimizer
+from services.optimizer.unsent import RETRY_S
 from services.optimizer.worker import OptimisationCrashed, run_job
 from tests.fleets import closure, keyframe, make_fleet, session
 
@@ -86,6 +87,10 @@ class Bench:
             clock_s=lambda: self.now_s,
             now_ns=lambda: 5,
         )
+
+    def set_writable(self, writable: bool) -> None:
+        """Whether the store's disk takes writes."""
+        self.store._file.db.execute(f"PRAGMA query_only = {not writable}")
 
     def restart(self) -> None:
         self.store.close()
@@ -554,3 +559,35 @@ def test_a_replay_sends_nothing_before_it_is_done(bench: Bench) -> None:
 )
 def test_questions_without_an_answer_end_at_once(bench: Bench, key: str) -> None:
     assert bench.ask(key) is None
+
+
+# --- a disk that takes no writes ------------------------------------------------------------
+
+
+def test_corrections_wait_until_they_are_durable(bench: Bench) -> None:
+    bench.begin()
+    bench.read(PAIR)
+    bench.heard(2)
+    assert bench.bring(BRIDGE) == Stored()
+    bench.set_writable(False)
+    bench.run()
+    answer = bench.bring(closure(PAIR[1].id, PAIR[0].id))
+    assert answer == RetryAfter(RETRY_AFTER_S, "the server cannot write to its disk")
+    status = bench.status()
+    assert status.dirty
+    assert status.counters["cannot_store.other"] == 1
+    assert bench.optimizer.patience_s() == pytest.approx(RETRY_S)
+    assert bench.heard_nothing_more()
+
+    bench.now_s += RETRY_S
+    bench.optimizer.handle([])
+    assert bench.heard_nothing_more()
+    bench.set_writable(True)
+    bench.now_s += RETRY_S
+    bench.optimizer.handle([])
+    assert {c.keyframe.agent for c in bench.heard(2)} == {"a", "b"}
+    assert not bench.status().dirty
+    revision = bench.store.revision
+    bench.restart()
+    assert bench.store.revision == revision
+    assert len(bench.store.corrections()) == 2

@@ -29,7 +29,7 @@ from covinz.types import (
     RigMember,
     Stored,
 )
-from services.place_recognition.desk import Desk, WorkerGone, open_desk
+from services.place_recognition.desk import RETRY_S, Desk, WorkerGone, open_desk
 from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
@@ -65,6 +65,10 @@ class Office:
         self.desk = Desk(self.dispatcher, self.journal, self.bus)
         self.now_s = 0.0
         stack.enter_context(open_desk(self.bus, self.inbox))
+
+    def set_writable(self, writable: bool) -> None:
+        """Whether the journal's disk takes writes."""
+        self.journal._file.db.execute(f"PRAGMA query_only = {not writable}")
 
     def step(self, seconds: float = 0.0) -> None:
         """Handle the next event, or only let time pass."""
@@ -226,3 +230,33 @@ def test_a_full_inbox_sends_requests_away_at_once(office: Office, ask: Ask) -> N
         pass
     assert ask(keyexprs.JOB_LEASE, LeaseRequest("w")).replies() == []
     assert ask(keyexprs.JOB_DONE, JobDone("w", rejection(0))).replies() == []
+
+
+def test_while_the_disk_takes_no_writes_nothing_is_lent_or_acknowledged(
+    office: Office, ask: Ask
+) -> None:
+    office.dispatcher.add(job(0))
+    office.set_writable(False)
+    lease = ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
+    office.step()
+    assert lease.replies() == []
+    done = ask(keyexprs.JOB_DONE, JobDone("w", rejection(1)))
+    office.step()
+    assert done.replies() == []
+    assert office.desk.counters == {"cannot_store.other": 1}
+    assert office.desk.next_deadline_s() == RETRY_S
+    office.step(seconds=RETRY_S)  # still so
+    assert office.desk.next_deadline_s() == 2 * RETRY_S
+
+    office.set_writable(True)
+    office.step(seconds=RETRY_S)
+    assert office.desk.counters == {}
+    lease = ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
+    office.step()
+    assert codec.decode(lease.replies()[0], Lease).attempt == 1
+    done = ask(keyexprs.JOB_DONE, JobDone("w", rejection(1)))
+    office.step()
+    assert codec.decode_upload_reply(done.replies()[0]) == Duplicate()
+    office.journal.close()
+    with closing(Journal(office.path)) as again:
+        assert again.recall(job(1).id).outcome == rejection(1)
