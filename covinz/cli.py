@@ -45,6 +45,7 @@ from covinz.candidates import (
     read_candidates,
     short_name,
 )
+from covinz.cli_spool import show_spool
 from covinz.codec import MalformedMessage
 from covinz.connection import CredentialsFile, Endpoint, bus_config, connected
 from covinz.doctor import Verdict, examine, is_well
@@ -52,6 +53,7 @@ from covinz.keyframes import CameraNotFound, KeyframeNotFound, StoreUnavailable
 from covinz.logs import LogFormat, set_up_logging
 from covinz.saved_job import SavedJobError
 from covinz.signals import stop_event
+from covinz.spool import SpoolError
 
 app = typer.Typer(
     help="Collaborative SLAM server: robots send keyframes, covinz puts them into one map.",
@@ -60,6 +62,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(roster_commands.app, name="roster")
+app.command("spool")(show_spool)
 app.add_typer(cli_jobs.app, name="jobs")
 console = Console()
 errors = Console(stderr=True)
@@ -290,6 +293,7 @@ def main() -> None:
         CandidatesError,
         MalformedMessage,
         OSError,
+        SpoolError,
         config.ConfigError,
         durable.DurableFileError,
         client.ServerUnavailable,
