@@ -27,6 +27,10 @@ _MIN_RETRY_S = 0.1
 _MAX_RETRY_S = 1.0
 # `close` waits so long for an attempt under way, which then closes what it opens. [s]
 _CLOSE_S = 1.0
+# A session closes in milliseconds, or never: its router may have vanished. [s]
+_SESSION_CLOSE_S = 2.0
+# Messages that wait for one callback.
+_MAX_WAITING = 4096
 
 
 class _ZenohQuery:
@@ -256,7 +260,7 @@ class ZenohBus:
             session, self._session = self._session, None
             self._declarations.clear()
         if session is not None:
-            session.close()
+            _close(session)
 
     def _connect(self) -> None:
         """Try until the router is there; from then on Zenoh itself reconnects for ever."""
@@ -282,7 +286,7 @@ class ZenohBus:
             self._session = None if is_late else session
             waiting = list(self._declarations)
         if is_late:
-            session.close()
+            _close(session)
             return False
         for declaration in waiting:
             self._apply(declaration, session)
@@ -321,10 +325,28 @@ class ZenohBus:
             raise BusClosed("the bus was closed or interrupted")
 
 
+def _close(session: zenoh.Session) -> None:
+    """Close a session, but do not wait for ever."""
+
+    def close() -> None:
+        try:
+            session.close()
+        except zenoh.ZError as error:
+            logger.debug("closing the session: %s", error)
+
+    closing = threading.Thread(target=close, name="bus-close", daemon=True)
+    closing.start()
+    closing.join(_SESSION_CLOSE_S)
+    if closing.is_alive():
+        logger.warning("the session does not close; leaving it as it is")
+
+
 def _from_own_thread(callback: Callable[[Any], None]) -> Any:
     """A handler that calls `callback` from a thread of its own, which ends with the declaration.
 
     Zenoh's own threads for callbacks keep a process that forgot to close its bus from ending.
+    Callbacks do not block; what comes while one does is dropped beyond `_MAX_WAITING`, so that a
+    query ends and its sender asks again.
     """
     arguments: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
@@ -335,8 +357,14 @@ def _from_own_thread(callback: Callable[[Any], None]) -> Any:
             except Exception:
                 logger.exception("a bus callback failed")
 
+    def arrive(argument: Any) -> None:
+        if arguments.qsize() < _MAX_WAITING:
+            arguments.put(argument)
+        else:
+            logger.error("a message is dropped: a bus callback has blocked for too long")
+
     threading.Thread(target=call, name="bus-callback", daemon=True).start()
-    return zenoh.handlers.Callback(arguments.put, lambda: arguments.put(None), indirect=False)
+    return zenoh.handlers.Callback(arrive, lambda: arguments.put(None), indirect=False)
 
 
 def _encoding(payload: bytes) -> zenoh.Encoding:
