@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from benchmarks.drill.link import Weather
 from benchmarks.drill.stage import RATE, Stage
 
+CLEAN = "clean"
 STREAMING = "agent1"
 # Keyframes of the streaming robot before anything breaks.
 _BEFORE = 12
@@ -54,10 +55,15 @@ class Case:
     server_disk_mb: float | None = None
     robot_disk_mb: float | None = None
 
+    @property
+    def has_small_disk(self) -> bool:
+        """Whether a disk has to be mounted."""
+        return self.server_disk_mb is not None or self.robot_disk_mb is not None
+
 
 def cases() -> Mapping[str, Case]:
     """All cases by name; `clean` is what the others are compared with."""
-    undisturbed = {"clean": Case("nothing", Stage.nothing, recovery_s=None)}
+    undisturbed = {CLEAN: Case("nothing", Stage.nothing, recovery_s=None)}
     return undisturbed | _processes() | _robots() | _messages() | _disks() | _links()
 
 

@@ -28,13 +28,14 @@ class RobotProcess:
         prefix: Command that it is run by.
 
     Attributes:
-        sent: Ids of the keyframes that `send` has returned for.
+        sent: Ids of the keyframes that `send` has returned for, and their numbers in the
+            recording.
         block_ms: How long each call of `send` took.
         refused: Calls of `send` that raised.
     """
 
     def __init__(self, argv: Sequence[str], log: Path, prefix: Sequence[str] = ()) -> None:
-        self.sent: list[str] = []
+        self.sent: dict[str, int] = {}
         self.block_ms: list[float] = []
         self.refused = 0
         self._log = log
@@ -127,8 +128,8 @@ class RobotProcess:
         match event:
             case {"open": count}:
                 self._open = count
-            case {"sent": name, "block_ms": block_ms}:
-                self.sent.append(name)
+            case {"sent": name, "number": number, "block_ms": block_ms}:
+                self.sent[name] = number
                 self.block_ms.append(block_ms)
             case {"refused": _, "block_ms": block_ms}:
                 self.refused += 1

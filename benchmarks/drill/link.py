@@ -34,6 +34,8 @@ _CLONE_NEWNET = 0x40000000
 _TUNSETIFF = 0x400454CA
 _IFF_TUN, _IFF_NO_PI = 0x0001, 0x1000
 _MTU = 1500
+# One way, also in fair weather: a Wi-Fi's round trip is about 10 ms.
+_DELAY_S = 0.005
 # Packets that wait for a slow link; those beyond are dropped, as a router does. [bytes]
 _QUEUE_BYTES = 128 * 1024
 
@@ -88,6 +90,7 @@ class Direction:
         if weather.down or self._draw.random() < weather.loss:
             self.dropped += 1
             return
+        due += _DELAY_S
         if self._draw.random() < weather.late:
             due += _LATE_S * self._draw.random()
         for _ in range(1 + (self._draw.random() < weather.repeats)):
@@ -113,10 +116,13 @@ def open_end(address: str) -> tuple[int, int]:
         raise OSError(ctypes.get_errno(), "cannot make a network namespace")
     device = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)
     fcntl.ioctl(device, _TUNSETIFF, struct.pack("16sH22x", b"cable", _IFF_TUN | _IFF_NO_PI))
+    network = f"{address.rpartition('.')[0]}.0/24"
     for words in (
         "link set dev lo up",
         f"address add {address}/24 dev cable",
         f"link set dev cable mtu {_MTU} txqueuelen 1000 up",
+        # What Linux does unless told otherwise, whatever this machine was told.
+        f"route change {network} dev cable src {address} congctl cubic",
     ):
         subprocess.run(["ip", *words.split()], check=True)
     return os.open("/proc/self/ns/net", os.O_RDONLY), device

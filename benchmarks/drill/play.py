@@ -4,8 +4,8 @@
 
 The first robot plays in lockstep. The second streams in real time, and on its way the case's fault
 is made. When all has arrived and the server is idle, what it has is compared with the undisturbed
-run in `DIR/undisturbed`; where the log's order or sessions differ from that one's, the comparison
-is with an undisturbed server that is given this case's own log.
+run in `DIR/undisturbed`, which the first case leaves; where order or sessions of the log differ,
+it is compared with an undisturbed server that is given this case's own log.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from benchmarks.drill.link import SERVER_HOST
 from benchmarks.drill.network import Network, own_mounts
 from benchmarks.drill.server import Server
 from benchmarks.drill.stage import PATIENCE_S, Stage, mount_small_disk
-from benchmarks.drill.verdict import End, Verdict, judge, look, replay
+from benchmarks.drill.verdict import End, Places, Verdict, judge, look, places, replay
 from covinz.client import ServerUnavailable
 from covinz.scenario import Scenario, load_scenario
 
@@ -82,11 +82,14 @@ def play(case: Case, work: Path, folder: Path) -> dict[str, Any]:
         stage.robot.wait_done(PATIENCE_S)
         end = look(stage.server.bus, _IDLE_S)
         starts = stage.server.starts()
-        sent = [name for robot in stage.robots for name in robot.sent]
+        sent = {name: number for robot in stage.robots for name, number in robot.sent.items()}
         block_ms = [ms for robot in stage.robots for ms in robot.block_ms]
         refused = sum(robot.refused for robot in stage.robots)
-        log = stage.data
-        undisturbed, same_log = _undisturbed(end, log, work, folder, scenario)
+        clean, clean_places = _clean(end, places(end, sent), work)
+        undisturbed = clean
+        same_log = clean.keyframes == end.keyframes and not end.gaps
+        if not same_log:
+            undisturbed = replay(stage.data, folder / "replay", scenario.config, _IDLE_S)
     verdict = judge(end, sent, undisturbed)
     return {
         "lost": verdict.lost,
@@ -96,6 +99,7 @@ def play(case: Case, work: Path, folder: Path) -> dict[str, Any]:
         "loops_extra": verdict.loops_extra,
         "loops_changed": verdict.loops_changed,
         "same_log": same_log,
+        "loops_unlike_clean": len(places(end, sent) ^ clean_places),
         **recovery,
         "send_block_ms_max": round(max(block_ms), 1),
         "sends_over_50_ms": sum(ms > MAX_BLOCK_MS for ms in block_ms),
@@ -118,7 +122,7 @@ def _stage(case: Case, scenario: Scenario, work: Path, folder: Path) -> Iterator
             network = stack.enter_context(Network(_SEED))
             network.enter()
         spools, data = folder / "spools", folder / "data"
-        if case.robot_disk_mb is not None or case.server_disk_mb is not None:
+        if case.has_small_disk:
             own_mounts()
         for place, megabytes in ((spools, case.robot_disk_mb), (data, case.server_disk_mb)):
             if megabytes is None:
@@ -152,18 +156,13 @@ def _recover(stage: Stage, ended: float, case: Case) -> dict[str, Any]:
     }
 
 
-def _undisturbed(
-    end: End, log: Path, work: Path, folder: Path, scenario: Scenario
-) -> tuple[End, bool]:
-    """What an undisturbed server has, and whether its log is the same as of the undisturbed run."""
+def _clean(end: End, loops: Places, work: Path) -> tuple[End, Places]:
+    """The end of the undisturbed run, which is the first that is played."""
     file = work / UNDISTURBED
     if not file.exists():
-        file.write_bytes(pickle.dumps(end))
-        return end, True
-    known: End = pickle.loads(file.read_bytes())
-    if known.keyframes == end.keyframes and not end.gaps:
-        return known, True
-    return replay(log, folder / "replay", scenario.config, _IDLE_S), False
+        file.write_bytes(pickle.dumps((end, loops)))
+    known: tuple[End, Places] = pickle.loads(file.read_bytes())
+    return known
 
 
 def _failed(

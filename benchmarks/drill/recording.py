@@ -54,19 +54,21 @@ def read(folder: Path, agent: str) -> Recording:
     camera = codec.decode((folder / f"{agent}{_CAMERA}").read_bytes(), Camera)
     data = (folder / f"{agent}{_SUFFIX}").read_bytes()
     keyframes = [codec.decode(payload, Keyframe) for payload in _split(data)]
-    contents = tuple(
-        KeyframeContent(
-            keyframe.stamp_ns,
-            keyframe.T_odom_body,
-            camera,
-            keyframe.features,
-            keyframe.covariance,
-            keyframe.gravity_body,
-            more_features=keyframe.more_features,
-        )
-        for keyframe in keyframes
-    )
+    contents = tuple(_content(keyframe, camera) for keyframe in keyframes)
     return Recording(keyframes[0].id.session, contents)
+
+
+def _content(keyframe: Keyframe, camera: Camera) -> KeyframeContent:
+    assert keyframe.features is not None, "recorded as sent"
+    return KeyframeContent(
+        keyframe.stamp_ns,
+        keyframe.T_odom_body,
+        camera,
+        keyframe.features,
+        keyframe.covariance,
+        keyframe.gravity_body,
+        more_features=keyframe.more_features,
+    )
 
 
 def _split(data: bytes) -> Iterator[bytes]:

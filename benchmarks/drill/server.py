@@ -142,9 +142,18 @@ class Server:
             os.kill(pid, number)
         return time.monotonic()
 
-    def wait_ready(self, deadline_s: float, instances: set[str] | None = None) -> float | None:
+    def wait_at_work(self, names: Sequence[str], timeout_s: float) -> None:
+        """Wait until a loop solver of `names`, if there is one among them, has a job."""
+        deadline = time.monotonic() + timeout_s
+        while any(name.startswith("loop_solver") for name in names):
+            found = client.statuses(self.bus, "loop_solver", timeout_s=_ANSWER_S)
+            busy = any(status.leased for status in found if status.instance in names)
+            if busy or time.monotonic() > deadline:
+                return
+
+    def wait_ready(self, deadline_s: float) -> float | None:
         """When every process answers for itself [monotonic s]; None when time ran out first."""
-        missing = self.instances if instances is None else instances
+        missing = self.instances
         pause = threading.Event()
         while missing:
             if time.monotonic() > deadline_s:

@@ -22,6 +22,8 @@ from covinz.supervisor import child_environment, die_with_parent
 RATE = 4.0
 # A robot that was killed is started again after this long, as by its own computer. [s]
 _RESTART_S = 1.0
+# So long is waited for a job to be under way; jobs come with nearly every keyframe. [s]
+_AT_WORK_S = 3.0
 # Longer than any wait that is not a failure. [s]
 PATIENCE_S = 90.0
 
@@ -85,7 +87,8 @@ class Stage:
         return time.monotonic()
 
     def kill(self, *names: str) -> float:
-        """Kill -9 processes of the server."""
+        """Kill -9 processes of the server; loop solvers while one of them is at work."""
+        self.server.wait_at_work(names, _AT_WORK_S)
         return self.server.signal(names, signal.SIGKILL)
 
     def hang(self, *names: str) -> float:
@@ -117,8 +120,7 @@ class Stage:
         self.robot.kill()
         ended = time.monotonic()
         self.wait(_RESTART_S)
-        # As many as it said, and one that it may have had no time to say.
-        first = len(self.robot.sent) + 1
+        first = len(self.robot.sent)
         self.start_robot(agent, "--rate", str(RATE), "--first", str(first))
         self.robot.wait_open(PATIENCE_S)
         return ended

@@ -24,6 +24,8 @@ from covinz.types import (
 
 # Query, candidate.
 Pair = tuple[str, str]
+# Pairs by robot and number in the recording, whatever sessions they were sent in.
+Places = frozenset[Pair]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +129,15 @@ def judge(end: End, sent: Iterable[str], undisturbed: End) -> Verdict:
             for pair in end.loops.keys() & undisturbed.loops.keys()
         ),
     )
+
+
+def places(end: End, sent: Mapping[str, int]) -> Places:
+    """The accepted loops by place; `sent` has the numbers of the keyframes."""
+
+    def place(keyframe: str) -> str:
+        return f"{keyframe.partition('/')[0]}/{sent.get(keyframe, keyframe)}"
+
+    return frozenset((place(query), place(cand)) for query, cand in end.loops)
 
 
 def repeated(things: Iterable[object]) -> int:
