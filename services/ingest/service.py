@@ -71,7 +71,7 @@ def run(context: Context, open_log: OpenLog = KeyframeLog) -> None:
         stack.enter_context(closing(LogReads(context.bus, reader, context.machine)))
         ingest = Ingest(log, intake, context.bus, config, context.instance)
         for key, callback in (
-            (keyexprs.AGENT_KEYFRAMES, intake.on_keyframe),
+            (keyexprs.AGENT_KEYFRAMES, context.telemetry.timed("ingest_ack", intake.on_keyframe)),
             (keyexprs.AGENT_CAMERAS, intake.on_camera),
         ):
             stack.enter_context(closing(context.bus.answer(key, callback)))
