@@ -65,11 +65,7 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
     Raises:
         ServicesNotFound: If this covinz was installed without them.
     """
-    if not (checkout() / "services").is_dir():
-        raise ServicesNotFound(
-            "the server's services were not found: run covinz from a checkout (or the image); "
-            "a pip-installed covinz is for robots"
-        )
+    require_services()
     names = ["router", "ingest", "place_recognition", "optimizer"]
     instances = [(name, name) for name in names]
     instances += [("loop_solver", f"loop_solver-{i}") for i in range(workers)]
@@ -85,6 +81,15 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
         )
         for number, (service, instance) in enumerate(instances)
     ]
+
+
+def require_services() -> None:
+    """Raise ServicesNotFound if this covinz was installed without the server's services."""
+    if not (checkout() / "services").is_dir():
+        raise ServicesNotFound(
+            "the server's services were not found: run covinz from a checkout (or the image); "
+            "a pip-installed covinz is for robots"
+        )
 
 
 def checkout() -> Path:
