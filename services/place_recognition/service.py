@@ -72,7 +72,7 @@ def run(context: Context) -> None:
         stack.enter_context(closing(follower))
         stack.callback(gate.open_for_ever)
         # The index lives in memory only, so the log is always read from its beginning.
-        follower.start(0, "")
+        follower.start(0, "", journal.seen)
         while True:
             service.step(context.inbox)
 
@@ -202,6 +202,8 @@ class PlaceRecognition:
             case LogReset(log_id):
                 self._start_over(log_id)
             case LogPage(entries=entries):
+                if event.chain and entries:
+                    self._dispatcher.know(event.mark)
                 if entries:
                     self._pages.append(deque(entries))
                 else:
