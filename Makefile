@@ -49,7 +49,7 @@ $(STAMPS)/packages: pyproject.toml agents/pyproject.toml | $(STAMPS)/venv
 
 # The fast suite; compose itself reads docker-compose.yml in it.
 check: setup
-	$(BIN)/python -m pytest -q -m "not slow" tests/unit tests/contract
+	$(BIN)/python -m pytest -q -m "not slow" tests/unit tests/contract tests/fuzz
 
 # Everything: lint, the core's tests with and without sanitizers, and all Python tests.
 test: lint core-tests core-sanitize

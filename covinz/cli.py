@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -45,9 +46,12 @@ from covinz.candidates import (
     read_candidates,
     short_name,
 )
+from covinz.cli_spool import show_spool
 from covinz.codec import MalformedMessage
 from covinz.doctor import Verdict, examine, is_well
+from covinz.logs import LogFormat, set_up_logging
 from covinz.signals import stop_event
+from covinz.spool import SpoolError
 
 app = typer.Typer(
     help="Collaborative SLAM server: robots send keyframes, covinz puts them into one map.",
@@ -56,6 +60,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(roster_commands.app, name="roster")
+app.command("spool")(show_spool)
 console = Console()
 errors = Console(stderr=True)
 
@@ -89,9 +94,14 @@ def up(
         typer.Option(help="Address of this machine where the robots of the roster connect."),
     ] = None,
     config_file: ConfigFile = None,
+    log_format: Annotated[
+        LogFormat | None, typer.Option(help="How all processes log [text].")
+    ] = None,
 ) -> None:
     """Start the server: router, ingest, place recognition, loop solvers, optimizer."""
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    if log_format is not None:
+        os.environ["COVINZ_LOG_FORMAT"] = log_format
+    set_up_logging("up", "up")
     settings = config.load(config_file)
     bus = server_bus(settings.bus, data / FOLDER, listen)
     settings = settings.model_copy(update={"bus": bus})
@@ -317,6 +327,7 @@ def main() -> None:
         CandidatesError,
         MalformedMessage,
         OSError,
+        SpoolError,
         config.ConfigError,
         durable.DurableFileError,
         client.ServerUnavailable,

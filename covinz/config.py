@@ -323,13 +323,35 @@ class OptimizerConfig(Section):
     jump_rad: Positive = 0.05
 
 
+class HealthConfig(Section):
+    """How a process is watched; source: decision 0030."""
+
+    # A process whose main loop is busy with one step for longer ends itself, to be started again.
+    # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
+    hang_s: Positive = 60.0
+
+
 class AgentConfig(Section):
     """A robot's side of the upload."""
 
     # Uploads under way at once. [measured: 2-4]
     window: PositiveInt = 4
+    # `send` waits so long for the disk, then the disk follows. With all else it stays below 50 ms.
+    # [s; decision 0027]
+    max_send_wait_s: NonNegative = 0.02
+    # So much may wait for a slow disk before `send` refuses more: half a minute of keyframes of
+    # 40 kB at ten a second. [bytes]
+    max_unsaved_bytes: PositiveInt = 16 * 1024 * 1024
+    # `send` refuses a keyframe larger than this; `ingest.max_upload_bytes` is the server's own
+    # limit. [bytes]
+    max_keyframe_bytes: PositiveInt = 1024 * 1024
     # The spool drops its oldest keyframes beyond this size and reports a gap. [bytes]
     max_spool_bytes: PositiveInt = 1024 * 1024 * 1024
+    # ... and those that have waited longer than this, counted while the robot's program runs, so
+    # that no clock that is set makes them old. None: never. [s; a week]
+    max_spool_age_s: Positive | None = 7 * 86400.0
+    # Uploads that the server refused for good are kept beside the spool up to this size. [bytes]
+    max_rejected_bytes: PositiveInt = 64 * 1024 * 1024
     # An upload without an answer is sent again after this long. [s]
     ack_timeout_s: Positive = 10.0
     # Back-off between failed attempts grows from ... [s]
@@ -389,6 +411,27 @@ class FeatureConfig(Section):
         return self
 
 
+Niceness = Annotated[int, Field(ge=0, le=19)]
+
+
+class NicenessConfig(Section):
+    """How much a process gives way to the others of the machine; source: decision 0031.
+
+    Only while there is more to do than the processors can: each step is a fifth less.
+    """
+
+    # All that robots send and get goes through it.
+    router: Niceness = 0
+    # Robots wait for its answers.
+    ingest: Niceness = 0
+    # May lag behind the log, but no loop can be found before it has found the candidates.
+    place_recognition: Niceness = 3
+    # Corrections come from it.
+    optimizer: Niceness = 3
+    # Takes all that is left.
+    loop_solver: Niceness = 6
+
+
 class Config(Section):
     """All sections."""
 
@@ -399,6 +442,8 @@ class Config(Section):
     worker: WorkerConfig = WorkerConfig()
     optimizer: OptimizerConfig = OptimizerConfig()
     agent: AgentConfig = AgentConfig()
+    health: HealthConfig = HealthConfig()
+    niceness: NicenessConfig = NicenessConfig()
 
 
 def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections import defaultdict, deque
@@ -14,29 +13,6 @@ logger = logging.getLogger(__name__)
 
 # Durations that the statistics of a stage are made of: the last ones.
 MAX_DURATIONS = 512
-
-
-def set_up_logging(name: str, instance: str, level: str | None = None) -> None:
-    """Log one line an event to standard error, in UTC.
-
-    Args:
-        name: Kind of process.
-        instance: Which one of several.
-        level: Name of the lowest level that is logged; default: ``COVINZ_LOG``, else INFO.
-    """
-    who = instance if instance.startswith(name) else f"{name}/{instance}"
-    formatter = logging.Formatter(
-        f"%(asctime)s.%(msecs)03dZ %(levelname)-7s {who} %(name)s: %(message)s",
-        datefmt="%Y-%m-%dT%H:%M:%S",
-    )
-    formatter.converter = time.gmtime
-    handler = logging.StreamHandler()
-    handler.setFormatter(formatter)
-    level = (level or os.environ.get("COVINZ_LOG", "INFO")).upper()
-    known = logging.getLevelNamesMapping()
-    logging.basicConfig(level=known.get(level, logging.INFO), handlers=[handler], force=True)
-    if level not in known:
-        logger.warning("COVINZ_LOG=%s is not a level; using INFO", level)
 
 
 class Telemetry:

@@ -14,6 +14,7 @@ from typing import Protocol
 from covinz import codec, keyexprs
 from covinz.bus import Bus
 from covinz.config import IngestConfig
+from covinz.logs import about
 from covinz.machine import Machine
 from covinz.service import Context, Inbox, StatusRequest
 from covinz.types import (
@@ -194,7 +195,9 @@ class Ingest:
                 return admit_upload(upload.agent, upload.payload, self._log.cameras, self._config)
             verdict = admit_camera(upload.agent, upload.payload)
         except Exception:  # a bug of ours must not let one agent's upload stop the others
-            logger.exception("cannot judge an upload of %s", upload.agent)
+            logger.exception(
+                "cannot judge an upload of %s", upload.agent, extra=about(agent=upload.agent)
+            )
             return RetryAfter(self._config.retry_after_s, "internal error")
         if isinstance(verdict, AdmittedCamera) and self._is_one_too_many(verdict):
             limit = self._config.max_cameras_per_agent
@@ -250,4 +253,11 @@ class Ingest:
         if is_new:
             self._complained.add((agent, code))
             level = logging.WARNING
-        logger.log(level, "rejected an upload of %s: %s: %s", agent, code, reason)
+        logger.log(
+            level,
+            "rejected an upload of %s: %s: %s",
+            agent,
+            code,
+            reason,
+            extra=about(agent=agent),
+        )

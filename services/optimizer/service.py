@@ -20,6 +20,7 @@ from covinz.config import OptimizerConfig
 from covinz.damage import rebuildable
 from covinz.durable import DamagedFile
 from covinz.log_follower import LogFollower, LogReset
+from covinz.logs import about
 from covinz.service import Context, StatusRequest
 from covinz.types import (
     Correction,
@@ -229,7 +230,8 @@ class Optimizer:
         for (query, loop), is_new in zip(admitted, new, strict=True):
             if is_new:
                 self._maps.add_loop(loop)
-                logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand)
+                extra = about(keyframe=loop.query, job=loop.job_id)
+                logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand, extra=extra)
             reply(query, Stored() if is_new else Duplicate())
 
     def _is_of_this_log(self, loop: LoopClosure) -> bool:
@@ -298,7 +300,8 @@ class Optimizer:
         if done.faults:
             self._unsent.write(lambda: self._store.mark(done.faults), self._clock_s())
             for fault in done.faults:
-                logger.error("loop %s is left out: %s", fault.job_id, fault.reason)
+                extra = about(job=fault.job_id)
+                logger.error("loop %s is left out: %s", fault.job_id, fault.reason, extra=extra)
                 self._counters["faulty_loops"] += 1
                 self._maps.remove_loop(fault.job_id)
         revision = self._store.revision + 1

@@ -11,6 +11,7 @@ from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.codec import MalformedMessage
 from covinz.damage import CommitFailed, Trouble
+from covinz.logs import about
 from covinz.service import Inbox
 from covinz.types import Duplicate, JobDone, JobRange, LeaseRequest, Rejected, Stored, UploadReply
 from services.place_recognition.dispatcher import Dispatcher
@@ -114,7 +115,12 @@ class Desk:
         for query in effects.turned_away:
             query.drop()
         for rejection in effects.dead:
-            logger.error("job %s is dead: %s", rejection.job_id, rejection.detail)
+            logger.error(
+                "job %s is dead: %s",
+                rejection.job_id,
+                rejection.detail,
+                extra=about(keyframe=rejection.query, job=rejection.job_id),
+            )
             self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
         return None
 

@@ -10,6 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 
 from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
+from covinz.logs import about
 from covinz.types import (
     Camera,
     Keyframe,
@@ -96,7 +97,12 @@ class Recognizer:
 
     def _skip(self, kf: Keyframe, counter: str, reason: str) -> None:
         self.counters[counter] += 1
-        logger.info("keyframe %s takes no part in place recognition: %s", kf.id, reason)
+        logger.info(
+            "keyframe %s takes no part in place recognition: %s",
+            kf.id,
+            reason,
+            extra=about(keyframe=kf.id),
+        )
 
     def _begin(self, segment: SegmentId) -> list[LoopJob]:
         """Note a session; one that is new ends the others of its agent, and what waits for them."""

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
-import logging
 import threading
-from collections.abc import Iterator
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from covinz.telemetry import MAX_DURATIONS, Telemetry, quantile, set_up_logging
+from covinz.telemetry import MAX_DURATIONS, Telemetry, quantile
 
 
 class Clock:
@@ -72,33 +70,3 @@ def test_quantiles_lie_within_and_grow(values: list[float], p: float, q: float) 
     slack = 1e-9 * (1 + abs(ordered[0]) + abs(ordered[-1]))
     assert ordered[0] - slack <= low <= high + slack <= ordered[-1] + 2 * slack
     assert quantile(ordered, 0.0) == ordered[0] and quantile(ordered, 1.0) == ordered[-1]
-
-
-@pytest.fixture
-def root_logger() -> Iterator[logging.Logger]:
-    root = logging.getLogger()
-    level, handlers = root.level, root.handlers[:]
-    root.handlers = []
-    yield root
-    root.setLevel(level)
-    root.handlers = handlers
-
-
-@pytest.mark.parametrize(
-    ("level", "expected"),
-    [("debug", logging.DEBUG), ("WARNING", logging.WARNING), ("nonsense", logging.INFO)],
-)
-def test_the_environment_sets_the_level(
-    root_logger: logging.Logger,
-    capfd: pytest.CaptureFixture[str],
-    level: str,
-    expected: int,
-) -> None:
-    set_up_logging("ingest", "ingest-2", level)
-    assert root_logger.level == expected
-    logging.getLogger("covinz.test").error("one %s", "line")
-    last = capfd.readouterr().err.splitlines()[-1]
-    assert last.endswith("ERROR   ingest-2 covinz.test: one line")
-    set_up_logging("ingest", "b", level)
-    logging.getLogger("covinz.test").error("x")
-    assert " ingest/b covinz.test: x" in capfd.readouterr().err
