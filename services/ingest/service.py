@@ -84,7 +84,7 @@ def run(context: Context, open_log: OpenLog = KeyframeLog) -> None:
         clock_s = context.machine.monotonic_s
         retention = Retention(log.retained, lambda: log.head, config, clock_s)
         for key, callback in (
-            (keyexprs.AGENT_KEYFRAMES, intake.on_keyframe),
+            (keyexprs.AGENT_KEYFRAMES, context.telemetry.timed("ingest_ack", intake.on_keyframe)),
             (keyexprs.AGENT_CAMERAS, intake.on_camera),
         ):
             stack.enter_context(closing(context.bus.answer(key, callback)))

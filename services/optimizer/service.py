@@ -76,11 +76,17 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
         StoreUnavailable: If it cannot be noted that another log follows.
     """
     config, machine, deliver = context.config.optimizer, context.machine, context.inbox.put
+
+    def finish(event: object) -> None:
+        if isinstance(event, Optimised):
+            context.telemetry.observe("optimizer_optimisation", event.duration_ms / 1e3)
+        deliver(event)
+
     with ExitStack() as stack:
         path = context.data_dir / "optimizer.sqlite"
         store = rebuildable(path, lambda: LoopStore(path), DamagedFile)
         stack.enter_context(closing(store))
-        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine, run_one)))
+        thread = stack.enter_context(closing(OptimisationThread(config, finish, machine, run_one)))
         optimizer = Optimizer(
             store,
             context.bus,

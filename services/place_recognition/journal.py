@@ -1,4 +1,4 @@
-"""The durable memory of jobs: attempts and outcomes by job id, for one keyframe log.
+"""The durable memory of jobs: failures and outcomes by job id, for one keyframe log.
 
 Jobs themselves are not here: they are made again from the log. What the journal holds for a job
 that does not exist yet, or no longer under a changed configuration, waits until it does.
@@ -39,7 +39,7 @@ KIND = FileKind(
     INSERT INTO log VALUES (0, '', 0, '');
     CREATE TABLE job (
         id TEXT PRIMARY KEY,
-        attempts INTEGER NOT NULL,
+        attempts INTEGER NOT NULL,     -- that failed
         state TEXT,     -- 'done' or 'dead'; NULL while there is no outcome
         kind TEXT,      -- of the outcome: 'loop' or 'rejection'
         outcome BLOB    -- as it came over the wire
@@ -53,12 +53,12 @@ class Memory:
     """What is known of a job from before.
 
     Attributes:
-        attempts: Leases given so far.
+        failures: Leases so far that ended with the loss of their worker, or too late.
         state: PENDING, or DONE or DEAD with an outcome.
         outcome: Result of the job.
     """
 
-    attempts: int = 0
+    failures: int = 0
     state: JobState = JobState.PENDING
     outcome: Outcome | None = None
 
@@ -116,31 +116,36 @@ class Journal:
             raise DamagedFile(f"{self._file.path}: job {job_id}: {error}") from error
         if row is None:
             return Memory()
-        attempts, state, outcome = row
+        failures, state, outcome = row
         if state is None:
-            return Memory(attempts)
+            return Memory(failures)
         try:
-            return Memory(attempts, JobState(state), codec.decode_outcome(outcome))
+            return Memory(failures, JobState(state), codec.decode_outcome(outcome))
         except ValueError as error:
             logger.error("job %s is done again: its outcome is damaged: %s", job_id, error)
             return Memory()
 
-    def note_attempt(self, job_id: str, attempts: int) -> None:
-        """A job has been lent for the `attempts`-th time."""
+    def note_failures(self, job_id: str, failures: int) -> None:
+        """A job has failed so many times."""
         known = self.recall(job_id)
-        self._noted[job_id] = Memory(attempts, known.state, known.outcome)
+        self._noted[job_id] = Memory(failures, known.state, known.outcome)
         self._todo.append(
             (
                 "INSERT INTO job (id, attempts) VALUES (?, ?)"
                 " ON CONFLICT (id) DO UPDATE SET attempts = excluded.attempts",
-                (job_id, attempts),
+                (job_id, failures),
             )
         )
 
+    def forget(self, job_id: str) -> None:
+        """A job is to be done anew."""
+        self._noted[job_id] = Memory()
+        self._todo.append(("DELETE FROM job WHERE id = ?", (job_id,)))
+
     def note_outcome(self, outcome: Outcome, state: JobState) -> None:
         """A job is DONE or DEAD with this outcome."""
-        attempts = self.recall(outcome.job_id).attempts
-        self._noted[outcome.job_id] = Memory(attempts, state, outcome)
+        failures = self.recall(outcome.job_id).failures
+        self._noted[outcome.job_id] = Memory(failures, state, outcome)
         kind = "loop" if isinstance(outcome, LoopClosure) else "rejection"
         self._todo.append(
             (
