@@ -13,7 +13,7 @@ PYTHON_DIRS := covinz services agents/covinz_agents benchmarks scripts tests voc
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: setup check test lint simulate bench results results-loops drill demo schemas vocabulary core-tests core-sanitize clean
+.PHONY: setup check test lint simulate bench results results-loops drill demo schemas vocabulary core-tests core-sanitize core-neon clean
 
 setup: $(STAMPS)/apt $(STAMPS)/venv $(STAMPS)/core $(STAMPS)/packages
 
@@ -66,6 +66,10 @@ core-tests: setup
 	cmake -S core -B core/build/tests -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF >/dev/null
 	cmake --build core/build/tests -j $(JOBS)
 	ctest --test-dir core/build/tests --output-on-failure -j $(JOBS)
+
+# The matching kernels of 64-bit ARM, emulated (needs g++-aarch64-linux-gnu and qemu-user).
+core-neon:
+	scripts/neon_tests.sh
 
 core-sanitize: setup
 	cmake -S core -B core/build/sanitize -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF -DCOVINZ_SANITIZE=ON >/dev/null

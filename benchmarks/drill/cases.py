@@ -126,14 +126,19 @@ def _messages() -> dict[str, Case]:
 def _disks() -> dict[str, Case]:
     return {
         "disk_full_agent": Case(
-            "link down until the robot's disk is full",
-            lambda s: s.small_disk_at_robot(_OUTAGE),
+            "a robot's disk is full for 6 s",
+            lambda s: s.fill_disk(s.spools, 6.0),
+            robot_disk_mb=16.0,
+        ),
+        "disk_full_agent_offline": Case(
+            "link down until the spool has filled the robot's disk",
+            lambda s: s.weather_until_refused(_OUTAGE),
             "tls",
-            robot_disk_mb=1.0,
+            robot_disk_mb=2.0,
         ),
         "disk_full_server": Case(
             "the server's disk is full for 6 s",
-            lambda s: s.fill_server_disk(6.0),
+            lambda s: s.fill_disk(s.data, 6.0),
             server_disk_mb=64.0,
         ),
     }

@@ -73,6 +73,7 @@ def play(case: Case, work: Path, folder: Path) -> dict[str, Any]:
     with _stage(case, scenario, work, folder) as stage:
         first = stage.start_robot(FIRST)
         first.wait_done(PATIENCE_S)
+        first.close()
         if case.twofold:
             stage.add_twofold_worker()
         streaming = ("--rate", str(case.rate), *case.options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +23,9 @@ RATE = 4.0
 _RESTART_S = 1.0
 # So long is waited for a job to be under way; jobs come with nearly every keyframe. [s]
 _AT_WORK_S = 3.0
+# Calls of `send` that are refused before the link is back, and between two looks at them. [s]
+_REFUSALS = 20
+_LOOK_S = 0.05
 # Longer than any wait that is not a failure. [s]
 PATIENCE_S = 90.0
 
@@ -132,9 +134,9 @@ class Stage:
         self.robot.signal(signal.SIGCONT)
         return time.monotonic()
 
-    def fill_server_disk(self, seconds: float) -> float:
-        """Take the last byte of the server's disk for a while."""
-        filler = self.data / "filler"
+    def fill_disk(self, folder: Path, seconds: float) -> float:
+        """Take the last byte of a disk for a while."""
+        filler = folder / "filler"
         with filler.open("wb", buffering=0) as file:
             for size in (1 << 20, 1 << 12, 1):
                 fill(file.write, bytes(size))
@@ -142,13 +144,13 @@ class Stage:
         filler.unlink()
         return time.monotonic()
 
-    def small_disk_at_robot(self, weather: Weather) -> float:
-        """Cut the link until the robot's disk is full, and a while longer."""
+    def weather_until_refused(self, weather: Weather) -> float:
+        """Other weather until the robot's own disk takes no more, and a little longer."""
         assert self.network is not None
         self.network.change(weather)
         deadline = time.monotonic() + PATIENCE_S
-        while self.robot.refused < 10 and time.monotonic() < deadline:
-            self.wait(0.05)
+        while self.robot.refused < _REFUSALS and time.monotonic() < deadline:
+            self.wait(_LOOK_S)
         return self.fair()
 
     def add_twofold_worker(self) -> None:
@@ -184,8 +186,3 @@ def mount_small_disk(folder: Path, megabytes: float) -> None:
     size = f"size={int(megabytes * 1024)}k"
     argv: Sequence[str] = ("mount", "-t", "tmpfs", "-o", size, "tmpfs", str(folder))
     subprocess.run(argv, check=True)
-
-
-def clear(folder: Path) -> None:
-    """Remove a folder of a case; one that cannot be removed is left."""
-    shutil.rmtree(folder, ignore_errors=True)
