@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import threading
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from benchmarks.drill.network import on_other_hardware
 from benchmarks.drill.server import CHECKOUT
-from covinz.supervisor import child_environment, die_with_parent
-
-# Of the robots, which have computers of their own.
-NICENESS = -10
+from covinz.supervisor import child_environment
 
 
 class RobotFailed(RuntimeError):
@@ -57,7 +53,7 @@ class RobotProcess:
                 stdout=subprocess.PIPE,
                 stderr=errors,
                 text=True,
-                preexec_fn=_on_its_own_computer,
+                preexec_fn=on_other_hardware,
             )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -143,10 +139,3 @@ class RobotProcess:
                 self._acked.append((when, count))
             case {"done": _}:
                 self._done = True
-
-
-def _on_its_own_computer() -> None:
-    """A robot does not wait for the server's processors, whoever else uses them; needs the right."""
-    die_with_parent()
-    with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
