@@ -18,8 +18,8 @@ from pathlib import Path
 from covinz import config, keyexprs
 from covinz.bus import Bus, Closable, Query, ZenohBus
 from covinz.config import BusConfig
+from covinz.logs import set_up_logging
 from covinz.service import Inbox, serve_on
-from covinz.telemetry import set_up_logging
 from services.loop_solver.service import run
 
 _BROUGHT = (keyexprs.LOOP, keyexprs.JOB_DONE)
