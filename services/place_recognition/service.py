@@ -29,6 +29,7 @@ from services.place_recognition.desk import (
     Desk,
     JobsAsked,
     LeaseAsked,
+    LoopsAsked,
     OutcomeBrought,
     RetryAsked,
     WorkerBack,
@@ -225,6 +226,7 @@ class PlaceRecognition:
                 LeaseAsked()
                 | OutcomeBrought()
                 | JobsAsked()
+                | LoopsAsked()
                 | RetryAsked()
                 | WorkerGone()
                 | WorkerBack()
