@@ -75,10 +75,11 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
             (
                 *(sys.executable, "-m", f"services.{service}"),
                 *("--config", str(config_file), "--data", str(data), "--id", instance),
+                *("--port-offset", str(number)),
             ),
             beats=True,
         )
-        for service, instance in instances
+        for number, (service, instance) in enumerate(instances)
     ]
 
 

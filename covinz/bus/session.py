@@ -137,6 +137,11 @@ class ZenohBus:
         """Wait for the first connection to the router; False when time ran out first."""
         return self._connected.wait(timeout_s)
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a router now, as far as Zenoh knows: a silent one is given up late."""
+        return self._link.is_there
+
     def put(self, key: str, payload: bytes) -> None:
         """See `Bus.put`."""
         check_size(payload, self._config.max_message_bytes)
