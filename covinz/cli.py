@@ -45,10 +45,10 @@ from covinz.candidates import (
     read_candidates,
     short_name,
 )
+from covinz.cli_doctor import doctor
 from covinz.cli_spool import show_spool
 from covinz.codec import MalformedMessage
-from covinz.connection import CredentialsFile, Endpoint, bus_config, connected
-from covinz.doctor import Verdict, examine, is_well
+from covinz.connection import CredentialsFile, Endpoint, connected
 from covinz.keyframes import CameraNotFound, KeyframeNotFound, StoreUnavailable
 from covinz.logs import LogFormat, set_up_logging
 from covinz.saved_job import SavedJobError
@@ -63,6 +63,7 @@ app = typer.Typer(
 )
 app.add_typer(roster_commands.app, name="roster")
 app.command("spool")(show_spool)
+app.command()(doctor)
 app.add_typer(cli_jobs.app, name="jobs")
 console = Console()
 errors = Console(stderr=True)
@@ -155,19 +156,6 @@ def status(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> No
         if counters:
             console.print(f"[bold]{item.instance}[/]  {counters}", highlight=False)
     _say("idle" if now.idle else f"at work: {now}")
-
-
-@app.command()
-def doctor(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> None:
-    """Say why nothing arrives: credentials, connection, processes, robots."""
-    colours = {Verdict.GOOD: "green", Verdict.ODD: "yellow", Verdict.BAD: "red"}
-    findings = []
-    for finding in examine(bus_config(endpoint, credentials)):
-        findings.append(finding)
-        console.print(f"[{colours[finding.verdict]}]{finding.verdict:4}[/]", end="  ")
-        _say(finding.text)
-    if not is_well(findings):
-        sys.exit(1)
 
 
 @app.command()

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 
-from covinz import codec
 from covinz.bus import Query
 from covinz.config import Config
 from covinz.damage import rebuildable
@@ -210,8 +209,8 @@ class PlaceRecognition:
 
     def _handle(self, event: object) -> None:
         match event:
-            case StatusRequest(query):
-                query.reply(codec.encode(self.status()))
+            case StatusRequest():
+                event.answer(self.status())
             case LogReset(log_id):
                 self._start_over(log_id)
             case LogPage(entries=entries, head=head):
