@@ -83,6 +83,11 @@ class IngestConfig(Section):
     retry_after_s: Positive = 0.5
     # The same when the disk is full: it goes on this long after there is room. [s]
     trouble_retry_after_s: Positive = 2.0
+    # Beyond this size of the log the features of its oldest keyframes are dropped, their poses are
+    # kept; None: never. [bytes; decision 0029]
+    max_log_bytes: PositiveInt | None = None
+    # The same after so many days of running; None: never. [days; decision 0029]
+    max_features_days: Positive | None = None
 
 
 class RigConfig(Section):

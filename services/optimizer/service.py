@@ -100,7 +100,7 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
         follower = LogFollower(context.bus, LogView.POSE, deliver, machine=machine)
         stack.enter_context(closing(follower))
         # Keyframes are kept in memory only, so the log is always read from its beginning.
-        follower.start(0, "")
+        follower.start(0, "", store.seen)
         while True:
             first = context.inbox.take(optimizer.patience_s())
             events = [] if first is None else [first, *context.inbox.drain(EVENTS_PER_STEP - 1)]
@@ -266,6 +266,8 @@ class Optimizer:
         if page.log_id != self._log_id:
             raise RuntimeError(f"a page of log {page.log_id} while reading {self._log_id}")
         self._head = max(self._head, page.head)
+        if page.chain and page.entries:
+            self._store.note_seen(page.mark)
         for entry in page.entries:
             if entry.log_index != self._cursor:
                 raise RuntimeError(f"log entry {entry.log_index} came instead of {self._cursor}")

@@ -19,6 +19,7 @@ from covinz.types import (
     JobPage,
     JobState,
     Lease,
+    LogMark,
     LoopClosure,
     LoopJob,
     Outcome,
@@ -112,6 +113,10 @@ class Dispatcher(Generic[Asker]):
         self._journal.adopt(log_id)
         self._log_id = log_id
         self._forget_jobs()
+
+    def know(self, mark: LogMark) -> None:
+        """The log has these entries: jobs that are noted from now on may be of them."""
+        self._journal.note_seen(mark)
 
     def add(self, job: LoopJob) -> None:
         """Take a new job in; its outcome may be known from before."""

@@ -76,7 +76,7 @@ def run(context: Context) -> None:
         stack.enter_context(closing(follower))
         stack.callback(gate.open_for_ever)
         # The index lives in memory only, so the log is always read from its beginning.
-        follower.start(0, "")
+        follower.start(0, "", journal.seen)
         while True:
             service.step(context.inbox)
 
@@ -216,6 +216,8 @@ class PlaceRecognition:
             case LogPage(entries=entries, head=head):
                 if self._old_head is None:
                     self._old_head = head
+                if event.chain and entries:
+                    self._dispatcher.know(event.mark)
                 if entries:
                     self._pages.append(deque(entries))
                 else:
