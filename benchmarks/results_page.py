@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from benchmarks.drill.table import drill_section
 from benchmarks.loop_tables import accuracy_section, synthetic_section, table, traffic_section
 from benchmarks.server_tables import fuzz_section, load_section
 
@@ -46,6 +47,7 @@ _SECTIONS = {
     "loop_synthetic": synthetic_section,
     "loop_accuracy": accuracy_section,
     "runtime_traffic": traffic_section,
+    "fault_drill": drill_section,
     "load": load_section,
     "fuzz": fuzz_section,
 }
@@ -64,7 +66,7 @@ def page(
         reports: `report.json` of every scenario by its name.
         machine: Architecture they ran on.
         demo: What `benchmarks/demo.py` measured, if it was.
-        others: What the benchmarks of `_SECTIONS` measured, by their names, those that were run.
+        others: What the other benchmarks measured, by their names, those that were run.
     """
     text = _HEAD.format(machine=machine)
     text += table(_SUMMARY, [summary(linked(name), report) for name, report in reports.items()])
