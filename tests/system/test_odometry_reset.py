@@ -61,7 +61,8 @@ def errors_m(snapshot: MapSnapshot, parts: list[Part]) -> dict[str, float]:
         rows[keyframe.segment].append(row)
     truth = {part.id: part.source.groundtruth for part in parts}
     pairs = {}
-    for segment, of in rows.items():
+    for segment, unordered in rows.items():
+        of = sorted(unordered, key=lambda row: snapshot.stamps_ns[row])
         groundtruth = truth[segment.agent]
         assert groundtruth is not None
         estimate = Trajectory(snapshot.stamps_ns[of], snapshot.T_map_body[of])
