@@ -83,6 +83,11 @@ class IngestConfig(Section):
     retry_after_s: Positive = 0.5
     # The same when the disk is full: it goes on this long after there is room. [s]
     trouble_retry_after_s: Positive = 2.0
+    # Beyond this size of the log the features of its oldest keyframes are dropped, their poses are
+    # kept; None: never. [bytes; decision 0029]
+    max_log_bytes: PositiveInt | None = None
+    # The same after so many days of running; None: never. [days; decision 0029]
+    max_features_days: Positive | None = None
 
 
 class RigConfig(Section):
@@ -169,6 +174,9 @@ class PlaceRecognitionConfig(Section):
     consistent_queries: Count = 0
     # A lease ends after this long without an outcome. [s]
     lease_s: Positive = 60.0
+    # Jobs that may wait for a worker; of more the least useful are given up, and say so. One takes
+    # about 8 kB, and 10,000 are two minutes of work for one solver. [decision 0028]
+    max_pending_jobs: PositiveInt = 10_000
     # So many failed leases and the job goes to the dead-letter list. [decision 0006]
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]
@@ -324,6 +332,11 @@ class HealthConfig(Section):
     # A process whose main loop is busy with one step for longer ends itself, to be started again.
     # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
     hang_s: Positive = 60.0
+    # Port of this process's /healthz, /readyz and /metrics; None: none, 0: any, said in the log.
+    # `covinz up` gives its processes this one and the following, in the order of `covinz status`.
+    port: Annotated[int, Field(ge=0, lt=2**16)] | None = None
+    # Where: what is told is no secret of a robot, but also nobody else's business.
+    address: str = "127.0.0.1"
 
 
 class AgentConfig(Section):

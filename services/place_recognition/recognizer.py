@@ -84,6 +84,9 @@ class Recognizer:
         return jobs
 
     def _describe(self, kf: Keyframe) -> Descriptions:
+        if kf.features is None:  # they were dropped from the log
+            self.counters["skipped.features_expired"] += 1
+            return {}
         descriptions = self._places.describe(kf)
         counts = {block.type.name.lower(): len(block) for block in kf.all_features}
         if not descriptions and counts and not counts.keys() & set(self._places.kinds):
