@@ -9,7 +9,19 @@ from dataclasses import dataclass
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus
-from covinz.types import JobPage, JobRange, JobRecord, MapList, MapSnapshot, MapSummary, Status
+from covinz.types import (
+    Gap,
+    JobPage,
+    JobRange,
+    JobRecord,
+    LogPage,
+    LogRange,
+    LogView,
+    MapList,
+    MapSnapshot,
+    MapSummary,
+    Status,
+)
 
 # Between two looks at the status of a system that is still at work.
 POLL_S = 0.2
@@ -63,11 +75,11 @@ class Progress:
         return ", ".join(parts) or "nothing left to do"
 
 
-def statuses(bus: Bus, service: str = "*") -> list[Status]:
-    """Status of every process that answers, sorted by service and instance."""
+def statuses(bus: Bus, service: str = "*", timeout_s: float = 5.0) -> list[Status]:
+    """Status of every process that answers in time, sorted by service and instance."""
     found = [
         codec.decode(reply, Status)
-        for reply in bus.ask(keyexprs.service_status(service, "*"), timeout_s=5.0)
+        for reply in bus.ask(keyexprs.service_status(service, "*"), timeout_s=timeout_s)
     ]
     return sorted(found, key=lambda status: (status.service, status.instance))
 
@@ -150,6 +162,18 @@ def jobs(bus: Bus) -> Iterator[JobRecord]:
         yield from page.records
         first, total = first + len(page.records), page.total
         if not page.records:
+            return
+
+
+def gaps(bus: Bus) -> Iterator[Gap]:
+    """Every gap in the log: keyframes that will never come, and why; in its order."""
+    first, head = 0, 1
+    while first < head:
+        question = codec.encode(LogRange(first, LogView.POSE))
+        page = codec.decode(_one(bus, keyexprs.LOG_RANGE, question, "ingest"), LogPage)
+        yield from (entry.item for entry in page.entries if isinstance(entry.item, Gap))
+        first, head = first + len(page.entries), page.head
+        if not page.entries:
             return
 
 

@@ -60,6 +60,13 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
         Described("retries", "retry_after", "Uploads that were told to come again."),
         Described("camera_requests", "need_camera", "Uploads whose calibration was asked for."),
         Described("failed_commits", "failed_commits", "Commits of the log that failed."),
+        Described("log_bytes", "log_bytes", "Size of the log on disk.", is_gauge=True),
+        Described(
+            "entries_without_features",
+            "entries_without_features",
+            "Entries at the beginning of the log whose features were dropped.",
+            is_gauge=True,
+        ),
         _CANNOT_STORE,
     ),
     "place_recognition": (

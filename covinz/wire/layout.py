@@ -154,7 +154,9 @@ TABLES: Final[dict[str, Any]] = {'Camera': [('model', 0, 'string', '', True, Non
             ('pending', 4, 'scalar', 'Q', False, 0),
             ('leased', 5, 'scalar', 'Q', False, 0),
             ('dirty', 6, 'scalar', '?', False, False),
-            ('counters', 7, 'tables', 'Counter', True, None)],
+            ('counters', 7, 'tables', 'Counter', True, None),
+            ('version', 8, 'string', '', False, None),
+            ('now_ns', 9, 'scalar', 'q', False, None)],
  'Stored': [],
  'UploadReply': [('answer', 1, 'union', 'UploadAnswer', True, None)]}
 STRUCTS: Final[dict[str, Any]] = {'Pose': 7, 'Quat': 4, 'Vec3': 3}

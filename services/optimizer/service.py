@@ -172,8 +172,8 @@ class Optimizer:
         self._send_corrections()
         for event in events:
             match event:
-                case StatusRequest(query):
-                    query.reply(codec.encode(self.status()))
+                case StatusRequest():
+                    event.answer(self.status())
                 case Asked(query):
                     answer_question(query, self._maps, self._corrections)
 

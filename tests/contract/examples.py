@@ -139,6 +139,9 @@ EXAMPLES: dict[str, Any] = {
     "MapList": types.MapList((SUMMARY,)),
     "MapSnapshot": SNAPSHOT,
     "Status": types.Status("ingest", "main", OLD, 19, 1, 0, True, {"bytes": 1.5, "agents": 3.0}),
+    "Status-version": types.Status(
+        "ingest", "main", OLD, 1, 0, 0, False, {}, "0.1.0+messages.01234567", 10**18
+    ),
     "Status-idle": types.Status("router", "main", "", 0, 0, 0, False),
 }  # fmt: skip
 
