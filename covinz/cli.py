@@ -21,6 +21,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from covinz import (
+    cli_backup,
     cli_jobs,
     client,
     config,
@@ -37,6 +38,7 @@ from covinz import (
 from covinz.access import commands as roster_commands
 from covinz.access.roster import FOLDER
 from covinz.access.server import server_bus
+from covinz.backup import BackupError
 from covinz.bus import BusError, open_router
 from covinz.candidates import (
     LOOP,
@@ -64,6 +66,8 @@ app = typer.Typer(
 )
 app.add_typer(roster_commands.app, name="roster")
 app.command("spool")(show_spool)
+app.command("backup")(cli_backup.back_up)
+app.command("restore")(cli_backup.restore)
 app.command()(doctor)
 app.add_typer(cli_jobs.app, name="jobs")
 console = Console()
@@ -283,6 +287,7 @@ def main() -> None:
     # Who waits for the router says so in words of its own.
     logging.getLogger("covinz.bus").setLevel(logging.ERROR)
     known = (
+        BackupError,
         BusError,
         CandidatesError,
         MalformedMessage,
