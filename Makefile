@@ -49,7 +49,7 @@ $(STAMPS)/packages: pyproject.toml agents/pyproject.toml | $(STAMPS)/venv
 
 # The fast suite; compose itself reads docker-compose.yml in it.
 check: setup
-	$(BIN)/python -m pytest -q -m "not slow" tests/unit tests/contract
+	$(BIN)/python -m pytest -q -m "not slow" tests/unit tests/contract tests/fuzz
 
 # Everything: lint, the core's tests with and without sanitizers, and all Python tests.
 test: lint core-tests core-sanitize
@@ -79,7 +79,7 @@ FIRST ?= 0
 simulate: setup
 	$(BIN)/python -m tests.simulation $(if $(SEED),--seed $(SEED),--seeds $(SEEDS) --first $(FIRST))
 
-BENCHMARKS := scenarios demo map_floor loop_geometry matching place_recognition map_from_scratch pose_graph cauchy_scale
+BENCHMARKS := scenarios demo map_floor matching place_recognition map_from_scratch pose_graph cauchy_scale
 
 # Ceres, which pose_graph and map_from_scratch compare with, comes with the core's tests.
 bench: setup

@@ -81,6 +81,8 @@ class IngestConfig(Section):
     max_cameras_per_agent: PositiveInt = 256
     # What an agent is told to wait when the inbox is full. [s]
     retry_after_s: Positive = 0.5
+    # The same when the disk is full: it goes on this long after there is room. [s]
+    trouble_retry_after_s: Positive = 2.0
 
 
 class RigConfig(Section):
@@ -319,6 +321,14 @@ class OptimizerConfig(Section):
     jump_rad: Positive = 0.05
 
 
+class HealthConfig(Section):
+    """How a process is watched; source: decision 0030."""
+
+    # A process whose main loop is busy with one step for longer ends itself, to be started again.
+    # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
+    hang_s: Positive = 60.0
+
+
 class AgentConfig(Section):
     """A robot's side of the upload."""
 
@@ -385,6 +395,27 @@ class FeatureConfig(Section):
         return self
 
 
+Niceness = Annotated[int, Field(ge=0, le=19)]
+
+
+class NicenessConfig(Section):
+    """How much a process gives way to the others of the machine; source: decision 0031.
+
+    Only while there is more to do than the processors can: each step is a fifth less.
+    """
+
+    # All that robots send and get goes through it.
+    router: Niceness = 0
+    # Robots wait for its answers.
+    ingest: Niceness = 0
+    # May lag behind the log, but no loop can be found before it has found the candidates.
+    place_recognition: Niceness = 3
+    # Corrections come from it.
+    optimizer: Niceness = 3
+    # Takes all that is left.
+    loop_solver: Niceness = 6
+
+
 class Config(Section):
     """All sections."""
 
@@ -395,6 +426,8 @@ class Config(Section):
     worker: WorkerConfig = WorkerConfig()
     optimizer: OptimizerConfig = OptimizerConfig()
     agent: AgentConfig = AgentConfig()
+    health: HealthConfig = HealthConfig()
+    niceness: NicenessConfig = NicenessConfig()
 
 
 def load(path: Path | None = None, environ: Mapping[str, str] | None = None) -> Config:

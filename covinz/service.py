@@ -9,36 +9,38 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import faulthandler
 import logging
 import signal
 import socket
 import sys
 import threading
-import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 from covinz import config as configuration
 from covinz import keyexprs
+from covinz.beats import Beats
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError
 from covinz.durable import DurableFileError
+from covinz.inbox import Inbox, Stopped
 from covinz.machine import THIS_MACHINE, Machine
+from covinz.niceness import give_way
 from covinz.telemetry import set_up_logging
+from covinz.watch import Guard, Watch
+
+__all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
 
 logger = logging.getLogger(__name__)
 
-# Events that wait for the owner thread; beyond it senders wait or are turned away.
-INBOX_CAPACITY = 1024
 # Questions that a process still waits for so long after it was told to stop are ended. [s]
 STOP_GRACE_S = 3.0
-
-
-class Stopped(Exception):
-    """The process was asked to stop: clean up and return."""
+# When all is done, the session and the interpreter may take so long to close. A session whose
+# router had vanished was once seen not to. [s]
+LEAVE_S = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,98 +48,6 @@ class StatusRequest:
     """Somebody asks how far this process is: ``event.query.reply(encode(Status(...)))``."""
 
     query: Query
-
-
-class Inbox:
-    """What waits for the owner thread: bounded, first in first out, filled by any thread.
-
-    Args:
-        capacity: Events that may wait.
-        on_first_take: Called once, by the owner, before its first look into the inbox.
-        machine: To wait.
-    """
-
-    def __init__(
-        self,
-        capacity: int = INBOX_CAPACITY,
-        on_first_take: Callable[[], object] | None = None,
-        machine: Machine = THIS_MACHINE,
-    ) -> None:
-        if capacity < 1:
-            raise ValueError(f"an inbox of {capacity} events can hold nothing")
-        self._capacity = capacity
-        self._on_first_take = on_first_take
-        self._changed = machine.condition()
-        self._events: deque[object] = deque()
-        self._stopping = False
-
-    def put(self, event: object, block: bool = True) -> bool:
-        """Add an event; whether it was taken in.
-
-        False once a stop was requested, or when the inbox is full and `block` is False. Otherwise
-        a full inbox makes the sender wait. The owner thread itself must not block here.
-        """
-        with self._changed:
-            if block:
-                self._changed.wait_for(lambda: self._stopping or len(self._events) < self._capacity)
-            if self._stopping or len(self._events) >= self._capacity:
-                return False
-            self._append(event)
-            return True
-
-    def put_always(self, event: object) -> bool:
-        """Add a rare, small event even when the inbox is full; False once stopping."""
-        with self._changed:
-            if self._stopping:
-                return False
-            self._append(event)
-            return True
-
-    def take(self, timeout_s: float | None) -> object | None:
-        """The next event, or None when there is none within `timeout_s` (None: wait on).
-
-        Raises:
-            Stopped: Once a stop was requested, whatever still waits.
-        """
-        if self._on_first_take is not None:
-            on_first_take, self._on_first_take = self._on_first_take, None
-            on_first_take()
-        with self._changed:
-            self._changed.wait_for(lambda: self._stopping or self._events, timeout_s)
-            if self._stopping:
-                raise Stopped
-            if not self._events:
-                return None
-            return self._pop()
-
-    def drain(self, limit: int) -> list[object]:
-        """Up to `limit` events that are there now; never waits and never raises."""
-        with self._changed:
-            return [self._pop() for _ in range(min(limit, len(self._events)))]
-
-    def stop(self) -> None:
-        """Ask the owner to stop: `take` raises, nothing more is let in."""
-        with self._changed:
-            self._stopping = True
-            self._changed.notify_all()
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether a stop was requested."""
-        return self._stopping
-
-    def __len__(self) -> int:
-        with self._changed:
-            return len(self._events)
-
-    def _append(self, event: object) -> None:
-        self._events.append(event)
-        self._changed.notify_all()
-
-    def _pop(self) -> object:
-        event = self._events.popleft()
-        self._changed.notify_all()
-        return event
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +62,7 @@ class Context:
         bus: The bus; closed after `run` has returned.
         inbox: Events for the owner thread; StatusRequest comes here by itself.
         machine: Clocks, chance and threads.
+        watch: Where work that must not take for ever is declared.
     """
 
     name: str
@@ -161,13 +72,15 @@ class Context:
     bus: Bus
     inbox: Inbox
     machine: Machine = THIS_MACHINE
+    watch: Watch = field(default_factory=Watch)
 
 
 def serve(name: str, run: Callable[[Context], None]) -> None:
     """Be a service process: parse arguments, call `run`, end the process.
 
-    Exits with 0 after SIGTERM or SIGINT, with 2 for unusable arguments or configuration, and
-    with 1 when `run` raised or returned unasked: whoever supervises starts it again.
+    Exits with 0 after SIGTERM or SIGINT, with 2 for unusable arguments or configuration, with 1
+    when `run` raised or returned unasked, and with `covinz.watch.STUCK` when it was stuck: whoever
+    supervises starts it again.
 
     Args:
         name: Kind of process; its key expressions are ``covinz/service/{name}/{id}/...``.
@@ -181,14 +94,21 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     try:
         config = configuration.load(arguments.config)
         arguments.data.mkdir(parents=True, exist_ok=True)
+        # Before there are threads: each has a niceness of its own.
+        give_way(config.niceness.model_dump().get(name, 0))
         bus = ZenohBus.open(config.bus, wait_s=0.0)
     except (ConfigError, BusError, OSError) as error:
         logger.error("%s", error)
         sys.exit(2)
-    with contextlib.ExitStack() as stack:
-        stack.callback(bus.close)
-        instance = instance_name(arguments.id)
-        code = serve_on(bus, name, instance, config, arguments.data, run, _stop_on_signal)
+    watch, ended = Watch(), threading.Event()
+    guard = Guard(watch, Beats.of_process().send, config.health.hang_s)
+    guard.start()
+    instance, arm = instance_name(arguments.id), partial(_stop_on_signal, ended)
+    code = serve_on(bus, name, instance, config, arguments.data, run, arm, watch=watch)
+    ended.set()
+    guard.stop()
+    faulthandler.dump_traceback_later(LEAVE_S, exit=True)
+    bus.close()
     logging.shutdown()
     sys.exit(code)
 
@@ -202,6 +122,7 @@ def serve_on(
     run: Callable[[Context], None],
     arm: Callable[[Inbox, Bus], object],
     machine: Machine = THIS_MACHINE,
+    watch: Watch | None = None,
 ) -> int:
     """Run a service on a given bus; returns the exit code of its process.
 
@@ -214,17 +135,20 @@ def serve_on(
         run: See `serve`.
         arm: Called with inbox and bus before `run`; arranges for ``inbox.stop()``.
         machine: What the process runs on.
+        watch: Looked at by somebody else; default: by nobody.
     """
+    watch = watch or Watch(machine.monotonic_s)
+    owner = watch.work("the main loop", config.health.hang_s)
     with contextlib.ExitStack() as stack:
         announce = partial(_announce, stack, bus, name, instance)
-        inbox = Inbox(on_first_take=announce, machine=machine)
+        inbox = Inbox(on_first_take=announce, machine=machine, owner=owner)
         stack.callback(_drop_status_requests, inbox)
         status_key = keyexprs.service_status(name, instance)
         status = bus.answer(status_key, lambda query: _ask_status(inbox, query))
         stack.callback(status.close)
         arm(inbox, bus)
         try:
-            run(Context(name, instance, config, data_dir, bus, inbox, machine))
+            run(Context(name, instance, config, data_dir, bus, inbox, machine, watch))
         except Stopped:
             pass
         except BusClosed:
@@ -278,12 +202,12 @@ def _drop_status_requests(inbox: Inbox) -> None:
             event.query.drop()
 
 
-def _stop_on_signal(inbox: Inbox, bus: Bus) -> None:
+def _stop_on_signal(ended: threading.Event, inbox: Inbox, bus: Bus) -> None:
     def wait() -> None:
         number = signal.sigwait({signal.SIGTERM, signal.SIGINT})
         logger.info("stopping on %s", signal.Signals(number).name)
         inbox.stop()
-        time.sleep(STOP_GRACE_S)
-        bus.interrupt()
+        if not ended.wait(STOP_GRACE_S):
+            bus.interrupt()
 
     threading.Thread(target=wait, name="signals", daemon=True).start()

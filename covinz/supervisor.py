@@ -2,7 +2,8 @@
 
 Each child has one thread that waits for its end. A child that ends without being asked is started
 again, at once if it had been up for a while and with growing pauses if not, so that no crash needs
-a human. Children die with the command even if that is killed (Linux).
+a human. One more thread listens to the children's heartbeats and kills whose heart has stopped.
+Children die with the command even if that is killed (Linux).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from covinz.beats import VARIABLE, BeatListener, Hearts
 from covinz.config import ENVIRONMENT_PREFIX
 
 log = logging.getLogger(__name__)
@@ -30,6 +32,10 @@ STABLE_AFTER_S = 5.0
 MIN_PAUSE_S = 0.1
 MAX_PAUSE_S = 5.0
 STOP_GRACE_S = 10.0
+# A child whose heart has not beaten for so long does not run: it beats every second. [s]
+SILENT_S = 8.0
+# Heartbeats are waited for so long before those that are missing are looked for. [s]
+LOOK_S = 0.5
 
 _libc = ctypes.CDLL(None) if sys.platform.startswith("linux") else None
 
@@ -40,10 +46,17 @@ class ServicesNotFound(RuntimeError):
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """One process to keep running: a name unique in the supervisor, and its command line."""
+    """One process to keep running.
+
+    Attributes:
+        name: Unique in the supervisor.
+        argv: Command line.
+        beats: It sends heartbeats, and is killed when they stop.
+    """
 
     name: str
     argv: tuple[str, ...]
+    beats: bool = False
 
 
 def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpec]:
@@ -67,6 +80,7 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
                 *(sys.executable, "-m", f"services.{service}"),
                 *("--config", str(config_file), "--data", str(data), "--id", instance),
             ),
+            beats=True,
         )
         for service, instance in instances
     ]
@@ -84,6 +98,7 @@ def child_environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]
     not replace what was decided after them, e.g. the port of a run.
     """
     env = {k: v for k, v in environ.items() if not k.startswith(ENVIRONMENT_PREFIX)}
+    env.pop(VARIABLE, None)
     env["PYTHONUNBUFFERED"] = "1"
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         env.setdefault(name, "1")
@@ -100,6 +115,7 @@ class Supervisor:
         logs: Folder for one log file a process; None lets them write to this process's stderr.
         pid_file: JSON file kept up to date with the pid and the number of starts of each process.
         grace_s: A process that has not ended this long after SIGTERM is killed.
+        silent_s: A process that sends heartbeats is killed this long after the last one.
     """
 
     def __init__(
@@ -108,9 +124,11 @@ class Supervisor:
         logs: Path | None = None,
         pid_file: Path | None = None,
         grace_s: float = STOP_GRACE_S,
+        silent_s: float = SILENT_S,
     ) -> None:
         self._specs = list(specs)
         self._grace_s = grace_s
+        self._hearts = Hearts(silent_s)
         self._logs = logs
         self._pid_file = pid_file
         self._lock = threading.Lock()
@@ -121,6 +139,10 @@ class Supervisor:
 
     def start(self) -> None:
         """Start every process."""
+        self._listener = BeatListener()
+        self._hearing = threading.Thread(target=self._hear, name="heartbeats")
+        if self._listener.hears:
+            self._hearing.start()
         for spec in self._specs:
             thread = threading.Thread(
                 target=self._keep_running, args=(spec,), name=f"supervise-{spec.name}"
@@ -144,6 +166,9 @@ class Supervisor:
                 child.kill()
         for thread in self._threads:
             thread.join()
+        if self._listener.hears:
+            self._hearing.join()
+        self._listener.close()
 
     def starts(self) -> Mapping[str, int]:
         """How often each process was started."""
@@ -169,6 +194,8 @@ class Supervisor:
                 if child is None:
                     return
                 code = child.wait()
+                with self._lock:
+                    self._hearts.died(child.pid)
                 if self._stopping.is_set():
                     return
                 log.warning("%s ended with %d, starting it again", spec.name, code)
@@ -188,7 +215,7 @@ class Supervisor:
                 child = subprocess.Popen(
                     spec.argv,
                     cwd=checkout(),
-                    env=child_environment(),
+                    env={**child_environment(), **self._listener.environment},
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT if output else None,
@@ -198,11 +225,24 @@ class Supervisor:
                 )
                 self._children[spec.name] = child
                 self._starts[spec.name] = self._starts.get(spec.name, 0) + 1
+                if spec.beats:
+                    self._hearts.born(child.pid, time.monotonic())
                 self._write_pids()
                 return child
         finally:
             if output is not None:
                 output.close()
+
+    def _hear(self) -> None:
+        while not self._stopping.is_set():
+            pid = self._listener.receive(LOOK_S)
+            with self._lock:
+                silent = self._hearts.heard(pid, time.monotonic())
+                for name, child in self._children.items():
+                    if child.pid in silent:
+                        log.error("%s gives no sign of life any more, killing it", name)
+                        self._hearts.died(child.pid)
+                        child.kill()
 
     def _open_log(self, spec: ProcessSpec) -> IO[bytes] | None:
         if self._logs is None:

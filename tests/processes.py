@@ -89,6 +89,11 @@ class Processes:
         self._started[name].wait()
         self._wait(name, there=False)
 
+    def pid(self, name: str) -> int:
+        """The process that was started last under a name; fails when it has ended."""
+        assert self._started[name].poll() is None, self.log_of(name)
+        return self._started[name].pid
+
     def wait_ready(self, name: str) -> None:
         """Wait until a service that runs can be reached (again)."""
         self._wait(name, there=True)

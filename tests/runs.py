@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from covinz import frames
 from covinz.record import RunRecord
@@ -141,7 +142,7 @@ def _drifted(truth: Array, walks: Walks, rng: np.random.Generator) -> Array:
 
 def _loops(
     ids: Sequence[KeyframeId], truth: Array, walks: Walks, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Candidates, queries (L,) and T_cand_query (L, 4, 4) of near pairs, some of them wrong."""
     places = truth[:, :3, 3]
     distances = np.linalg.norm(places[:, None] - places[None], axis=-1)

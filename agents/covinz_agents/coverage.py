@@ -14,11 +14,6 @@ from numpy.typing import NDArray
 
 # A cell is divided into so many parts a side, which take turns in giving their best corner.
 _PARTS = 4
-# Weak corners are chosen so many times more rarely: they cover the image, but match badly (at
-# equal terms they cost a fifth of the pairs of redkitchen views with 30 or more inliers). Chosen
-# on that scene, by its true poses; at equal terms (1) its lockstep run has 143 loops, 4 of them
-# wrong, instead of 144 and 1.
-_WEAK_TURNS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +66,6 @@ def cover(
     turn = _rank_in_group(part[order], level[order])
     order = order[np.lexsort((-score[order], turn, cell[order], level[order]))]
     turn = _rank_in_group(cell[order], level[order])
-    turn = np.where(strong[order], turn, _WEAK_TURNS * (turn + 1))
     order = order[np.lexsort((-score[order], turn, level[order]))]
     turn_of_level = (_rank_in_group(level[order]) + 0.5) * corners.scale[order]
     return order[np.argsort(turn_of_level, kind="stable")][:limit]

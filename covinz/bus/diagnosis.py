@@ -51,8 +51,8 @@ def why_not(config: BusConfig) -> str:
     with link:
         if not endpoint.is_encrypted:
             return (
-                "somebody listens, but not for plain connections; a server with a roster needs "
-                "credentials (NAME.covinz)"
+                "somebody listens, but not for plain connections, or hangs; a server with a roster "
+                "needs credentials (NAME.covinz)"
             )
         assert own is not None, "sessions with TLS are not opened without credentials"
         return _handshake(link, endpoint.host, own)

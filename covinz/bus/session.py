@@ -27,6 +27,8 @@ _MIN_RETRY_S = 0.1
 _MAX_RETRY_S = 1.0
 # `close` waits so long for an attempt under way, which then closes what it opens. [s]
 _CLOSE_S = 1.0
+# A session closes in milliseconds, or never: its router may have vanished. [s]
+_SESSION_CLOSE_S = 2.0
 
 
 class _ZenohQuery:
@@ -256,7 +258,7 @@ class ZenohBus:
             session, self._session = self._session, None
             self._declarations.clear()
         if session is not None:
-            session.close()
+            _close(session)
 
     def _connect(self) -> None:
         """Try until the router is there; from then on Zenoh itself reconnects for ever."""
@@ -282,7 +284,7 @@ class ZenohBus:
             self._session = None if is_late else session
             waiting = list(self._declarations)
         if is_late:
-            session.close()
+            _close(session)
             return False
         for declaration in waiting:
             self._apply(declaration, session)
@@ -319,6 +321,22 @@ class ZenohBus:
     def _raise_if_interrupted(self) -> None:
         if self._interrupted.is_set():
             raise BusClosed("the bus was closed or interrupted")
+
+
+def _close(session: zenoh.Session) -> None:
+    """Close a session, but do not wait for ever."""
+
+    def close() -> None:
+        try:
+            session.close()
+        except zenoh.ZError as error:
+            logger.debug("closing the session: %s", error)
+
+    closing = threading.Thread(target=close, name="bus-close", daemon=True)
+    closing.start()
+    closing.join(_SESSION_CLOSE_S)
+    if closing.is_alive():
+        logger.warning("the session does not close; leaving it as it is")
 
 
 def _from_own_thread(callback: Callable[[Any], None]) -> Any:

@@ -103,6 +103,7 @@ def loop_closure_fields(loop: LoopClosure) -> Fields:
         "num_matches": values.whole(loop.num_matches, "num_matches", 0, values.MAX_COUNT),
         "solver_ms": values.finite(loop.solver_ms, "solver_ms", low=0.0),
         "motion_residuals": [_motion_fields(motion) for motion in loop.motion_residuals] or None,
+        "log_id": values.maybe_log_id(loop.log_id),
     }
 
 
@@ -119,6 +120,7 @@ def loop_closure(fields: Fields) -> LoopClosure:
         num_matches=fields["num_matches"],
         solver_ms=values.finite(fields["solver_ms"], "solver_ms", low=0.0),
         motion_residuals=tuple(_motion(motion) for motion in fields["motion_residuals"] or ()),
+        log_id=values.maybe_log_id(fields["log_id"]) or "",
     )
 
 
@@ -215,6 +217,7 @@ def lease_fields(lease: Lease) -> Fields:
         "worker": values.text(lease.worker, "worker", values.INSTANCE),
         "attempt": values.whole(lease.attempt, "attempt", 1, values.MAX_COUNT),
         "duration_s": values.finite(lease.duration_s, "duration_s", low=0.0),
+        "log_id": values.maybe_log_id(lease.log_id),
     }
 
 
@@ -225,19 +228,25 @@ def lease(fields: Fields) -> Lease:
         worker=values.text(fields["worker"], "worker", values.INSTANCE),
         attempt=values.whole(fields["attempt"], "attempt", 1, values.MAX_COUNT),
         duration_s=values.finite(fields["duration_s"], "duration_s", low=0.0),
+        log_id=values.maybe_log_id(fields["log_id"]) or "",
     )
 
 
 def job_done_fields(done: JobDone) -> Fields:
     """Fields of a JobDone."""
     worker = values.text(done.worker, "worker", values.INSTANCE)
-    return {"worker": worker, "outcome": _outcome_fields(done.outcome)}
+    return {
+        "worker": worker,
+        "outcome": _outcome_fields(done.outcome),
+        "log_id": values.maybe_log_id(done.log_id),
+    }
 
 
 def job_done(fields: Fields) -> JobDone:
     """The inverse of `job_done_fields`."""
     worker = values.text(fields["worker"], "worker", values.INSTANCE)
-    return JobDone(worker, _outcome(fields["outcome"]))
+    log_id = values.maybe_log_id(fields["log_id"]) or ""
+    return JobDone(worker, _outcome(fields["outcome"]), log_id)
 
 
 def job_range_fields(wanted: JobRange) -> Fields:

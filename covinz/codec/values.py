@@ -38,6 +38,11 @@ def whole(value: Any, name: str, low: int = 0, high: int = MAX_INT) -> int:
     return number
 
 
+def maybe_log_id(value: str | None) -> str | None:
+    """A ULID; None when nobody said which log it is."""
+    return text(value, "log_id", re.compile(ULID_PATTERN)) if value else None
+
+
 def finite(value: Any, name: str, low: float = -math.inf) -> float:
     """A finite number, not below `low`."""
     number = float(value)

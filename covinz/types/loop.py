@@ -105,6 +105,7 @@ class LoopClosure:
         num_matches: Descriptor matches of all pairs together.
         solver_ms: Time of the numeric core for this job.
         motion_residuals: One for each motion inside the two rigs; empty where rigs are rigid.
+        log_id: The log that the job is of; empty when nobody said.
     """
 
     job_id: str
@@ -116,6 +117,7 @@ class LoopClosure:
     num_matches: int
     solver_ms: float
     motion_residuals: tuple[MotionResidual, ...] = ()
+    log_id: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_cand_query", frozen_array(self.T_cand_query, (4, 4)))
@@ -190,20 +192,29 @@ class Lease:
         worker: Who holds it.
         attempt: 1 for the first lease of the job.
         duration_s: The lease ends this long after it was given.
+        log_id: The log that the job is of; empty when nobody said.
     """
 
     job: LoopJob
     worker: str
     attempt: int
     duration_s: float
+    log_id: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JobDone:
-    """A worker returns the outcome of a job; accepted whatever became of its lease."""
+    """A worker returns the outcome of a job; accepted whatever became of its lease.
+
+    Attributes:
+        worker: Who solved it.
+        outcome: What came of it.
+        log_id: The log that the job is of, as its lease said; empty when nobody said.
+    """
 
     worker: str
     outcome: Outcome
+    log_id: str = ""
 
 
 class JobState(enum.Enum):

@@ -13,7 +13,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from covinz import codec
-from covinz.durable import DurableFile, DurableFileError, FileKind
+from covinz.damage import CommitFailed
+from covinz.durable import DamagedFile, DurableFile, FileKind
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import Camera, Duplicate, Gap, Keyframe, Rejected, Stored
 from covinz.ulid import new_ulid
@@ -44,8 +45,8 @@ LOG_FILE = FileKind(
 )
 
 
-class LogUnavailable(RuntimeError):
-    """The commit failed (disk full, locked, damaged); the log is as it was before."""
+class LogUnavailable(CommitFailed):
+    """Nothing could be stored; the log is as it was before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +82,9 @@ class KeyframeLog:
             self._cameras = dict(self._stored_cameras())
         except (sqlite3.Error, codec.MalformedMessage) as error:
             self._file.close()
-            raise DurableFileError(f"{path}: the keyframe log is damaged: {error}") from error
+            raise DamagedFile(
+                f"{path}: the keyframe log is damaged: {error}. Restore a backup (covinz restore)"
+            ) from error
 
     @property
     def head(self) -> int:
@@ -112,7 +115,7 @@ class KeyframeLog:
                         answers.append(_put_entry(db, head, record))
                         head += isinstance(answers[-1], Stored)
         except sqlite3.Error as error:
-            raise LogUnavailable(f"{self._file.path}: {error}") from error
+            raise LogUnavailable(self._file.path, error) from error
         self._head = head
         for record in batch:
             if isinstance(record, AdmittedCamera):

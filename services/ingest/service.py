@@ -36,6 +36,7 @@ from services.ingest.admission import (
 from services.ingest.intake import Intake, Upload
 from services.ingest.keyframe_log import KeyframeLog, LogUnavailable
 from services.ingest.log_reader import LogReader, LogReads
+from services.ingest.trouble import StoreTrouble
 
 logger = logging.getLogger(__name__)
 
@@ -90,6 +91,7 @@ class Ingest:
         self._bus = bus
         self._config = config
         self._instance = instance
+        self._trouble = StoreTrouble(config)
         self._complained: set[tuple[str, str]] = set()
         self._counters: Counter[str] = Counter()
         for agent, totals in log.totals().items():
@@ -112,7 +114,7 @@ class Ingest:
 
     def status(self) -> Status:
         """Cursor is the head of the log; counters since the log began, refusals since the start."""
-        counters = self._counters + self._intake.refused
+        counters = self._counters + self._intake.refused + self._trouble.counters
         for name in ("keyframes", "bytes", "gaps", "dropped_keyframes"):
             counters[name] = sum(n for key, n in counters.items() if key.startswith(f"{name}."))
         return Status(
@@ -166,12 +168,14 @@ class Ingest:
     def _commit(
         self, admitted: Sequence[tuple[Upload, AdmittedUpload | AdmittedCamera]]
     ) -> Sequence[UploadReply]:
+        if (refusal := self._trouble.refusal()) is not None:
+            return [refusal] * len(admitted)
         try:
-            return self._log.append([record for _, record in admitted])
+            answers = self._log.append([record for _, record in admitted])
+            self._trouble.end()
+            return answers
         except LogUnavailable as error:
-            logger.error("%d uploads not stored: %s", len(admitted), error)
-            self._counters["failed_commits"] += 1
-            return [RetryAfter(self._config.retry_after_s, "cannot store now")] * len(admitted)
+            return [self._trouble.begin(error, len(admitted))] * len(admitted)
 
     def _count(self, agent: str, record: AdmittedUpload | AdmittedCamera) -> None:
         if isinstance(record, AdmittedCamera):

@@ -43,11 +43,19 @@ def run(context: Context, new_solver: NewSolver = LoopSolver) -> None:
     """
     config = context.config
     store = RemoteKeyframeStore(context.bus, config.worker.cache_keyframes)
+    solver = new_solver(config.loop_solver, store)
+    # Later its lease has ended, and the job is somebody else's.
+    solving = context.watch.work("solving a job", config.place_recognition.lease_s)
+
+    def solve(job: LoopJob) -> Outcome:
+        with solving:
+            return solver.solve(job)
+
     worker = Worker(
         # A process that is started again must not be taken for the one that died.
         worker=f"{context.instance}-{new_ulid(context.machine)}",
         bus=context.bus,
-        solve=new_solver(config.loop_solver, store).solve,
+        solve=solve,
         config=config.worker,
         lease_timeout_s=config.place_recognition.long_poll_s + config.bus.query_timeout_s,
         on_failure=lambda error: context.inbox.put_always(WorkerFailed(error)),

@@ -9,6 +9,7 @@ Source: docs/architecture.md; decision 0006 (pull with leases).
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -23,6 +24,9 @@ from covinz.types import (
     JobDone,
     Lease,
     LeaseRequest,
+    LogPage,
+    LogRange,
+    LogView,
     LoopClosure,
     LoopJob,
     Outcome,
@@ -36,6 +40,8 @@ logger = logging.getLogger(__name__)
 
 # A lease request that ends sooner without a job found nobody, or was refused.
 PROMPT_S = 0.5
+# No log has such an entry: the answer is its name alone.
+PAST_ANY_HEAD = 2**63 - 1
 
 
 class Worker:
@@ -122,7 +128,7 @@ class Worker:
             lease = self._lease()
             if lease is not None:
                 self._busy = True
-                self._work(lease.job)
+                self._work(lease)
                 self._busy = False
             elif self._clock_s() - asked_s < PROMPT_S:
                 self._pause(next(pauses))
@@ -144,20 +150,17 @@ class Worker:
         # would not.
         return codec.decode(replies[0], Lease) if replies else None
 
-    def _work(self, job: LoopJob) -> None:
+    def _work(self, lease: Lease) -> None:
+        job = lease.job
         outcome = self._outcome(job)
         if isinstance(outcome, LoopClosure):
-            answer = self._send(keyexprs.LOOP, codec.encode(outcome))
-            if isinstance(answer, Rejected):
-                outcome = _refused(outcome, answer)
-            elif answer is None:
-                outcome = None
+            outcome = self._bring_loop(outcome, lease.log_id)
         if outcome is None:
             logger.info("gave job %s back: the process ends", job.id)
             return
         if isinstance(outcome, Rejection):
             self._bus.put(keyexprs.REJECTION, codec.encode(outcome))
-        self._send(keyexprs.JOB_DONE, codec.encode(JobDone(self._worker, outcome)))
+        self._send(keyexprs.JOB_DONE, codec.encode(JobDone(self._worker, outcome, lease.log_id)))
         self._count(outcome)
 
     def _outcome(self, job: LoopJob) -> Outcome | None:
@@ -172,8 +175,31 @@ class Worker:
             self._pause(pause_s)
         return None
 
-    def _send(self, key: str, payload: bytes) -> UploadReply | None:
-        """Ask until there is a final answer; None when the process ends before."""
+    def _bring_loop(self, loop: LoopClosure, log_id: str) -> Outcome | None:
+        """The outcome once the optimizer has the loop, or will not; None when the process ends."""
+        payload = codec.encode(dataclasses.replace(loop, log_id=log_id))
+        answer = self._send(keyexprs.LOOP, payload, lambda: self._is_lost(log_id))
+        if isinstance(answer, Rejected):
+            return _refused(loop, answer)
+        return None if answer is None else loop
+
+    def _is_lost(self, log_id: str) -> bool:
+        """Whether ingest has another log by now than a job's."""
+        question = codec.encode(LogRange(PAST_ANY_HEAD, LogView.POSE))
+        for reply in self._bus.ask(keyexprs.LOG_RANGE, question):
+            try:
+                return codec.decode(reply, LogPage).log_id != log_id
+            except MalformedMessage as error:
+                logger.error("unreadable answer on %s: %s", keyexprs.LOG_RANGE, error)
+        return False
+
+    def _send(
+        self, key: str, payload: bytes, is_void: Callable[[], bool] = lambda: False
+    ) -> UploadReply | None:
+        """Ask until there is a final answer; None when the process ends before.
+
+        `is_void` is asked whenever the receiver is not ready: it need not wait for ever.
+        """
         for pause_s in self._pauses_s():
             wait_s = pause_s
             for reply in self._bus.ask(key, payload):
@@ -185,6 +211,8 @@ class Worker:
                 if not isinstance(answer, RetryAfter):
                     return answer
                 wait_s = answer.seconds
+                if is_void():
+                    return Rejected("other_log", "the job's log was lost")
             self.counters["resent"] += 1
             if self._stopping:
                 break

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from covinz import codec
-from covinz.durable import DurableFile, FileKind
+from covinz.damage import CommitFailed, Trouble
+from covinz.durable import DamagedFile, DurableFile, FileKind
 from covinz.types import Correction, LoopClosure
 from services.optimizer.optimisation import Fault
 
@@ -33,24 +34,36 @@ KIND = FileKind(
 )
 
 
-class StoreUnavailable(RuntimeError):
-    """A commit failed (disk full, damaged); the store is as it was before."""
+class StoreUnavailable(CommitFailed):
+    """Nothing could be written now; the file is as it was before."""
 
 
 class LoopStore:
     """For one thread; every method that changes something is durable when it returns.
 
+    What `mark` and `publish` were told counts even if they raise: it is written with the next
+    change that succeeds.
+
     Args:
         path: SQLite file; made when it is not there.
 
     Raises:
-        DurableFileError: If the file is in use, damaged, or of another kind or version.
+        DamagedFile: If the file is damaged; also from every method.
+        DurableFileError: If the file is in use, or of another kind or version.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = DurableFile(path, KIND)
-        row = self._file.db.execute("SELECT log_id, revision FROM log").fetchone()
-        self._log_id, self._revision = str(row[0]), int(row[1])
+        try:
+            row = self._file.db.execute("SELECT log_id, revision FROM log").fetchone()
+            self._log_id, self._revision = str(row[0]), int(row[1])
+            self.loops(), self.corrections()
+        except (sqlite3.Error, ValueError) as error:
+            self._file.close()
+            raise DamagedFile(f"{path}: the loop store is damaged: {error}") from error
+        # Not written yet.
+        self._faults: dict[str, str] = {}
+        self._corrections: dict[str, bytes] = {}
 
     @property
     def log_id(self) -> str:
@@ -75,7 +88,7 @@ class LoopStore:
     def faults(self) -> dict[str, str]:
         """Reasons by job id of the loops that are left out."""
         rows = self._file.db.execute("SELECT job_id, fault FROM loop WHERE fault IS NOT NULL")
-        return dict(rows)
+        return {**dict(rows), **self._faults}
 
     def add(self, loops: Sequence[tuple[str, bytes]]) -> list[bool]:
         """Store loops in one commit; for each, False when its job id was there already.
@@ -99,35 +112,31 @@ class LoopStore:
 
     def mark(self, faults: Iterable[Fault]) -> None:
         """Leave loops out of the maps from now on; raises StoreUnavailable."""
-        with self._commit() as db:
-            db.executemany(
-                "UPDATE loop SET fault = ? WHERE job_id = ?",
-                [(fault.reason, fault.job_id) for fault in faults],
-            )
+        self._faults |= {fault.job_id: fault.reason for fault in faults}
+        self.commit()
 
-    def begin_log(self, log_id: str, keep: Collection[str]) -> None:
-        """Follow another log: forget corrections and all loops but those of job ids `keep`.
+    def begin_log(self, log_id: str) -> None:
+        """Follow another log: forget loops and corrections.
 
         Raises:
             StoreUnavailable: If it could not be stored.
         """
         with self._commit() as db:
-            known = [job_id for (job_id,) in db.execute("SELECT job_id FROM loop")]
-            forgotten = [(job_id,) for job_id in known if job_id not in keep]
-            db.executemany("DELETE FROM loop WHERE job_id = ?", forgotten)
+            db.execute("DELETE FROM loop")
             db.execute("DELETE FROM correction")
             db.execute("UPDATE log SET log_id = ?", (log_id,))
         self._log_id = log_id
 
     def publish(self, revision: int, corrections: Sequence[Correction]) -> None:
         """Remember what is about to be published; raises StoreUnavailable."""
-        with self._commit() as db:
-            db.execute("UPDATE log SET revision = ?", (revision,))
-            db.executemany(
-                "INSERT OR REPLACE INTO correction VALUES (?, ?)",
-                [(c.keyframe.agent, codec.encode(c)) for c in corrections],
-            )
         self._revision = revision
+        self._corrections |= {c.keyframe.agent: codec.encode(c) for c in corrections}
+        self.commit()
+
+    def commit(self) -> None:
+        """Write what could not be written when it came; raises StoreUnavailable."""
+        with self._commit():
+            pass
 
     def close(self) -> None:
         """Close the file and let others open it."""
@@ -135,8 +144,21 @@ class LoopStore:
 
     @contextmanager
     def _commit(self) -> Iterator[sqlite3.Connection]:
+        """A transaction that begins with what was not written yet."""
         try:
             with self._file.transaction() as db:
+                db.execute("UPDATE log SET revision = ?", (self._revision,))
+                db.executemany(
+                    "INSERT OR REPLACE INTO correction VALUES (?, ?)", self._corrections.items()
+                )
+                db.executemany(
+                    "UPDATE loop SET fault = ? WHERE job_id = ?",
+                    [(reason, job_id) for job_id, reason in self._faults.items()],
+                )
                 yield db
         except sqlite3.Error as error:
-            raise StoreUnavailable(f"{self._file.path}: {error}") from error
+            if Trouble.of(error) is Trouble.DAMAGED:
+                raise DamagedFile(f"{self._file.path}: {error}") from error
+            raise StoreUnavailable(self._file.path, error) from error
+        self._faults.clear()
+        self._corrections.clear()

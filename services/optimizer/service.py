@@ -17,6 +17,8 @@ from typing import Protocol
 from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.config import OptimizerConfig
+from covinz.damage import rebuildable
+from covinz.durable import DamagedFile
 from covinz.log_follower import LogFollower, LogReset
 from covinz.service import Context, StatusRequest
 from covinz.types import (
@@ -45,6 +47,7 @@ from services.optimizer.doors import (
 from services.optimizer.loop_store import LoopStore, StoreUnavailable
 from services.optimizer.maps import Maps
 from services.optimizer.optimisation import Optimise, optimise
+from services.optimizer.unsent import Unsent
 from services.optimizer.worker import OptimisationCrashed, OptimisationThread, Optimised
 
 logger = logging.getLogger(__name__)
@@ -69,11 +72,13 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
 
     Raises:
         DurableFileError: If the store cannot be used.
-        StoreUnavailable: If an optimisation cannot be made durable.
+        StoreUnavailable: If it cannot be noted that another log follows.
     """
     config, machine, deliver = context.config.optimizer, context.machine, context.inbox.put
     with ExitStack() as stack:
-        store = stack.enter_context(closing(LoopStore(context.data_dir / "optimizer.sqlite")))
+        path = context.data_dir / "optimizer.sqlite"
+        store = rebuildable(path, lambda: LoopStore(path), DamagedFile)
+        stack.enter_context(closing(store))
         thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine, run_one)))
         optimizer = Optimizer(
             store,
@@ -132,9 +137,8 @@ class Optimizer:
         self._counters: Counter[str] = Counter(faulty_loops=len(store.faults()))
         self._last_job_ms = 0.0
         self._log_id, self._cursor, self._head = "", 0, 0
-        # Loops that came before the log they belong to was known to be another one.
-        self._fresh: set[str] = set()
         self._uncorrected: set[SegmentId] = set()
+        self._unsent = Unsent(store)
         self._epoch = 0
         self._running = False
         self._quiet_since_s = clock_s()
@@ -158,6 +162,7 @@ class Optimizer:
                     raise error
         self._optimise()
         self._correct_new_segments()
+        self._send_corrections()
         for event in events:
             match event:
                 case StatusRequest(query):
@@ -167,14 +172,16 @@ class Optimizer:
 
     def patience_s(self) -> float | None:
         """How long to wait for events; None: until there is one."""
-        if self._running or not self._caught_up or not self._maps.stale(with_keyframes=True):
-            return None
-        return max(0.0, self._quiet_since_s + self._config.settle_s - self._clock_s())
+        wake_s = [] if self._unsent.retry_at_s is None else [self._unsent.retry_at_s]
+        if not self._running and self._caught_up and self._maps.stale(with_keyframes=True):
+            wake_s.append(self._quiet_since_s + self._config.settle_s)
+        return max(0.0, min(wake_s) - self._clock_s()) if wake_s else None
 
     def status(self) -> Status:
         """Dirty until the maps are what decision 0003 makes of the log so far and the loops."""
         counters = {
             **self._counters,
+            **self._unsent.counters,
             "maps": len(self._maps.map_list().maps),
             "keyframes": self._maps.num_keyframes,
             "loops": self._maps.num_loops,
@@ -188,7 +195,7 @@ class Optimizer:
             cursor=self._cursor,
             pending=len(self._maps.pending),
             leased=0,
-            dirty=self._running or bool(self._maps.stale(with_keyframes=True)),
+            dirty=self._running or bool(self._maps.stale(with_keyframes=True) or self._unsent),
             counters={name: float(value) for name, value in sorted(counters.items())},
         )
 
@@ -200,7 +207,12 @@ class Optimizer:
         for query in queries:
             verdict = admit(query.payload)
             if isinstance(verdict, LoopClosure):
-                admitted.append((query, verdict))
+                if self._is_of_this_log(verdict):
+                    admitted.append((query, verdict))
+                else:
+                    # The worker may know of a new log before us; it asks ingest which one there is.
+                    self._counters["loops_of_other_logs"] += 1
+                    reply(query, RetryAfter(RETRY_AFTER_S, f"not of log {self._store.log_id}"))
             else:
                 self._counters["rejected_loops"] += 1
                 logger.warning("rejected a loop: %s: %s", verdict.code, verdict.reason)
@@ -210,16 +222,19 @@ class Optimizer:
         try:
             new = self._store.add([(loop.job_id, query.payload) for query, loop in admitted])
         except StoreUnavailable as error:
-            logger.error("%d loops not stored: %s", len(admitted), error)
+            self._unsent.failed(error, self._clock_s())
             for query, _ in admitted:
-                reply(query, RetryAfter(RETRY_AFTER_S, "cannot store now"))
+                reply(query, RetryAfter(RETRY_AFTER_S, error.trouble.words))
             return
         for (query, loop), is_new in zip(admitted, new, strict=True):
             if is_new:
-                self._fresh.add(loop.job_id)
                 self._maps.add_loop(loop)
                 logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand)
             reply(query, Stored() if is_new else Duplicate())
+
+    def _is_of_this_log(self, loop: LoopClosure) -> bool:
+        """Whether the loop belongs to the log that the store is of; it may not say."""
+        return self._store.log_id != "" and loop.log_id in ("", self._store.log_id)
 
     # --- the log -----------------------------------------------------------------------------
 
@@ -227,14 +242,11 @@ class Optimizer:
         """Read the log from its beginning; another log has other loops."""
         logger.info("reading log %s from its beginning", log_id)
         if self._store.log_id != log_id:
-            # A worker may know of the new log before us: what waits for its keyframes stays.
-            is_first = self._store.log_id == ""
-            keep = self._maps.pending if is_first else self._maps.pending & self._fresh
-            self._store.begin_log(log_id, keep)
+            self._store.begin_log(log_id)
             self._corrections.clear()
+            self._unsent.clear()
         self._counters["faulty_loops"] = len(self._store.faults())
         self._maps.clear()
-        self._fresh.clear()
         self._uncorrected.clear()
         for loop in self._store.loops():
             self._maps.add_loop(loop)
@@ -282,7 +294,7 @@ class Optimizer:
         self._counters["optimisations"] += 1
         self._last_job_ms = done.duration_ms
         if done.faults:
-            self._store.mark(done.faults)
+            self._unsent.write(lambda: self._store.mark(done.faults), self._clock_s())
             for fault in done.faults:
                 logger.error("loop %s is left out: %s", fault.job_id, fault.reason)
                 self._counters["faulty_loops"] += 1
@@ -315,13 +327,18 @@ class Optimizer:
         for segment in self._maps.newest_segments():
             found = self._maps.placement(segment)
             if segment in segments and found is not None:
-                previous = self._corrections.get(segment.agent)
+                previous = self._unsent.of(segment.agent) or self._corrections.get(segment.agent)
                 corrections.append(make_correction(*found, previous, self._config, stamp_ns))
-        self._store.publish(revision, corrections)
+        self._unsent.write(lambda: self._store.publish(revision, corrections), self._clock_s())
         self._uncorrected -= segments
         for correction in corrections:
-            agent = correction.keyframe.agent
-            self._corrections[agent] = correction
+            self._unsent.add(correction)
             self._last_stamp_ns = max(self._last_stamp_ns, correction.stamp_ns + 1)
             self._counters["jumps"] += correction.jumped
+
+    def _send_corrections(self) -> None:
+        """Publish what is durable."""
+        for correction in self._unsent.take(self._clock_s()):
+            agent = correction.keyframe.agent
+            self._corrections[agent] = correction
             self._bus.put(keyexprs.agent_correction(agent), codec.encode(correction))

@@ -10,12 +10,16 @@ from dataclasses import dataclass
 from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.codec import MalformedMessage
+from covinz.damage import CommitFailed, Trouble
 from covinz.service import Inbox
 from covinz.types import Duplicate, JobDone, JobRange, LeaseRequest, Rejected, Stored, UploadReply
 from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
 logger = logging.getLogger(__name__)
+
+# While the journal cannot be written, e.g. since the disk is full, it is tried so often. [s]
+RETRY_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +57,8 @@ class Desk:
     """Where workers take jobs and bring outcomes.
 
     `handle` only changes the dispatcher; `settle` commits the journal and then answers, so that a
-    lease or an acknowledgement that a worker has seen is never forgotten.
+    lease or an acknowledgement that a worker has seen is never forgotten. While the journal cannot
+    be written nothing is lent or acknowledged: workers ask again.
     """
 
     def __init__(self, dispatcher: Dispatcher[Query], journal: Journal, bus: Bus) -> None:
@@ -61,7 +66,19 @@ class Desk:
         self._journal = journal
         self._bus = bus
         self._acks: list[tuple[Query, UploadReply]] = []
-        self.counters: Counter[str] = Counter()
+        self._trouble: Trouble | None = None
+        self._retry_at_s = 0.0  # while there is trouble
+        self._counters: Counter[str] = Counter()
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What came and was odd; ``cannot_store.<trouble>`` is 1 while the journal cannot be."""
+        trouble = {f"cannot_store.{self._trouble.value}": 1} if self._trouble else {}
+        return self._counters + Counter(trouble)
+
+    def next_deadline_s(self) -> float | None:
+        """When `settle` has something to do next, if nothing else happens."""
+        return self._retry_at_s if self._trouble else self._dispatcher.next_deadline_s()
 
     def handle(self, event: DeskEvent, now_s: float) -> None:
         """Take one event in."""
@@ -82,8 +99,13 @@ class Desk:
 
     def settle(self, now_s: float) -> None:
         """Make what was handled durable, then tell those who wait."""
+        if self._trouble and now_s < self._retry_at_s:
+            return self._refuse_acks()
         effects = self._dispatcher.advance(now_s)
-        self._journal.commit()
+        if not self._commit(now_s):
+            for query in (*(query for query, _ in effects.granted), *effects.turned_away):
+                query.drop()
+            return self._refuse_acks()
         for query, ack in self._acks:
             query.reply(codec.encode(ack))
         self._acks.clear()
@@ -94,15 +116,39 @@ class Desk:
         for rejection in effects.dead:
             logger.error("job %s is dead: %s", rejection.job_id, rejection.detail)
             self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
+        return None
+
+    def _commit(self, now_s: float) -> bool:
+        try:
+            self._journal.commit()
+        except CommitFailed as error:
+            if self._trouble is not error.trouble:
+                logger.error("no job is lent and no outcome acknowledged: %s", error)
+            self._trouble, self._retry_at_s = error.trouble, now_s + RETRY_S
+            return False
+        if self._trouble:
+            logger.warning("the journal can be written again")
+            self._trouble = None
+        return True
+
+    def _refuse_acks(self) -> None:
+        """Their senders ask again; what they brought is noted."""
+        for query, _ in self._acks:
+            query.drop()
+        self._acks.clear()
 
     def _bring(self, query: Query) -> None:
         done = codec.decode(query.payload, JobDone)
+        if (objection := self._dispatcher.objection(done.log_id)) is not None:
+            self._counters["outcomes_of_other_logs"] += 1
+            self._acks.append((query, objection))
+            return
         fresh = self._dispatcher.finish(done.outcome)
-        self.counters["duplicate_outcomes"] += not fresh
+        self._counters["duplicate_outcomes"] += not fresh
         self._acks.append((query, Stored() if fresh else Duplicate()))
 
     def _refuse(self, event: DeskEvent, error: MalformedMessage) -> None:
-        self.counters["malformed"] += 1
+        self._counters["malformed"] += 1
         logger.warning("refused %s: %s", type(event).__name__, error)
         if isinstance(event, OutcomeBrought):
             event.query.reply(codec.encode(Rejected("malformed", str(error))))

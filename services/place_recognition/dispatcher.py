@@ -22,7 +22,9 @@ from covinz.types import (
     LoopClosure,
     LoopJob,
     Outcome,
+    Rejected,
     Rejection,
+    RetryAfter,
 )
 from services.place_recognition.journal import Journal
 
@@ -30,6 +32,8 @@ Asker = TypeVar("Asker")
 
 # Job records in one answer; one is about 2 kB.
 PAGE_RECORDS = 256
+# What a worker is told to wait while the log is not known yet. [s]
+RETRY_AFTER_S = 0.5
 
 
 @dataclass(slots=True, eq=False)
@@ -82,6 +86,8 @@ class Dispatcher(Generic[Asker]):
         self._waiters: dict[str, _Waiter[Asker]] = {}
         self._gone: set[str] = set()
         self._turned_away: list[Asker] = []
+        # Empty until it is known whether the journal's log is still the one.
+        self._log_id = ""
         self._forget_jobs()
 
     def _forget_jobs(self) -> None:
@@ -112,6 +118,7 @@ class Dispatcher(Generic[Asker]):
     def reset(self, log_id: str) -> None:
         """Forget all jobs: they are made again from log `log_id`; requests stay open."""
         self._journal.adopt(log_id)
+        self._log_id = log_id
         self._forget_jobs()
 
     def add(self, job: LoopJob) -> None:
@@ -141,6 +148,20 @@ class Dispatcher(Generic[Asker]):
         """The liveliness token of a worker vanished: its lease and its request end."""
         self._gone.add(worker)
         self._end_worker(worker)
+
+    def objection(self, log_id: str) -> Rejected | RetryAfter | None:
+        """Why an outcome of a job of log `log_id` is not taken; None when it is.
+
+        Whoever lent the job knew its log from ingest. If that is not the one that is followed
+        since, the log was lost meanwhile.
+        """
+        if log_id in ("", self._log_id):
+            return None
+        if self._log_id:
+            return Rejected("other_log", f"the jobs are of log {self._log_id}, not {log_id}")
+        if log_id == self._journal.log_id:
+            return None
+        return RetryAfter(RETRY_AFTER_S, "it is not known yet which log there is")
 
     def finish(self, outcome: Outcome) -> bool:
         """Take an outcome, whatever became of its lease; False when there was one before.
@@ -195,7 +216,7 @@ class Dispatcher(Generic[Asker]):
         entry.attempts += 1
         self._journal.note_attempt(entry.job.id, entry.attempts)
         self._loans[worker] = _Loan(entry, now_s + self._config.lease_s)
-        return Lease(entry.job, worker, entry.attempts, self._config.lease_s)
+        return Lease(entry.job, worker, entry.attempts, self._config.lease_s, self._log_id)
 
     def _end_worker(self, worker: str) -> None:
         waiter = self._waiters.pop(worker, None)

@@ -6,12 +6,17 @@ that does not exist yet, or no longer under a changed configuration, waits until
 
 from __future__ import annotations
 
+import logging
+import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
 
 from covinz import codec
-from covinz.durable import DurableFile, FileKind
+from covinz.damage import CommitFailed, Trouble
+from covinz.durable import DamagedFile, DurableFile, FileKind
 from covinz.types import JobState, LoopClosure, Outcome
+
+logger = logging.getLogger(__name__)
 
 KIND = FileKind(
     name="job journal",
@@ -47,70 +52,105 @@ class Memory:
 
 
 class Journal:
-    """Writes are one transaction until `commit`, which makes them durable together.
+    """What is noted counts at once, and is durable after the next `commit` that succeeds.
 
     Raises:
+        DamagedFile: If the file is damaged; also from `commit` and `recall`.
         DurableFileError: If the file cannot be used.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = DurableFile(path, KIND)
-        self._db = self._file.db
+        (self._log_id,) = self._file.db.execute("SELECT log_id FROM log").fetchone()
+        # Noted and not committed: the statements in order, and what they say of each job.
+        self._todo: list[tuple[str, tuple[object, ...]]] = []
+        self._noted: dict[str, Memory] = {}
+        self._is_other_log = False  # what the file holds is of a log that is forgotten
 
     @property
     def log_id(self) -> str:
         """The log that the jobs belong to; empty at first."""
-        (log_id,) = self._db.execute("SELECT log_id FROM log").fetchone()
-        return str(log_id)
+        return str(self._log_id)
 
     def adopt(self, log_id: str) -> None:
         """Remember jobs of this log from now on; those of another log are forgotten."""
-        if log_id != self.log_id:
-            self._begin()
-            self._db.execute("DELETE FROM job")
-            self._db.execute("UPDATE log SET log_id = ?", (log_id,))
+        if log_id != self._log_id:
+            self._log_id, self._is_other_log = log_id, True
+            self._noted.clear()
+            self._todo = [
+                ("DELETE FROM job", ()),
+                ("UPDATE log SET log_id = ?", (log_id,)),
+            ]
 
     def recall(self, job_id: str) -> Memory:
         """What is known of a job."""
-        row = self._db.execute(
-            "SELECT attempts, state, outcome FROM job WHERE id = ?", (job_id,)
-        ).fetchone()
+        if (noted := self._noted.get(job_id)) is not None:
+            return noted
+        if self._is_other_log:
+            return Memory()
+        try:
+            row = self._file.db.execute(
+                "SELECT attempts, state, outcome FROM job WHERE id = ?", (job_id,)
+            ).fetchone()
+        except sqlite3.DatabaseError as error:
+            raise DamagedFile(f"{self._file.path}: job {job_id}: {error}") from error
         if row is None:
             return Memory()
         attempts, state, outcome = row
         if state is None:
             return Memory(attempts)
-        return Memory(attempts, JobState(state), codec.decode_outcome(outcome))
+        try:
+            return Memory(attempts, JobState(state), codec.decode_outcome(outcome))
+        except ValueError as error:
+            logger.error("job %s is done again: its outcome is damaged: %s", job_id, error)
+            return Memory()
 
     def note_attempt(self, job_id: str, attempts: int) -> None:
         """A job has been lent for the `attempts`-th time."""
-        self._begin()
-        self._db.execute(
-            "INSERT INTO job (id, attempts) VALUES (?, ?)"
-            " ON CONFLICT (id) DO UPDATE SET attempts = excluded.attempts",
-            (job_id, attempts),
+        known = self.recall(job_id)
+        self._noted[job_id] = Memory(attempts, known.state, known.outcome)
+        self._todo.append(
+            (
+                "INSERT INTO job (id, attempts) VALUES (?, ?)"
+                " ON CONFLICT (id) DO UPDATE SET attempts = excluded.attempts",
+                (job_id, attempts),
+            )
         )
 
     def note_outcome(self, outcome: Outcome, state: JobState) -> None:
         """A job is DONE or DEAD with this outcome."""
-        self._begin()
+        attempts = self.recall(outcome.job_id).attempts
+        self._noted[outcome.job_id] = Memory(attempts, state, outcome)
         kind = "loop" if isinstance(outcome, LoopClosure) else "rejection"
-        self._db.execute(
-            "INSERT INTO job (id, attempts, state, kind, outcome) VALUES (?, 0, ?, ?, ?)"
-            " ON CONFLICT (id) DO UPDATE"
-            " SET state = excluded.state, kind = excluded.kind, outcome = excluded.outcome",
-            (outcome.job_id, state.value, kind, codec.encode(outcome)),
+        self._todo.append(
+            (
+                "INSERT INTO job (id, attempts, state, kind, outcome) VALUES (?, 0, ?, ?, ?)"
+                " ON CONFLICT (id) DO UPDATE"
+                " SET state = excluded.state, kind = excluded.kind, outcome = excluded.outcome",
+                (outcome.job_id, state.value, kind, codec.encode(outcome)),
+            )
         )
 
     def commit(self) -> None:
-        """Make everything noted so far durable."""
-        if self._db.in_transaction:
-            self._db.execute("COMMIT")
+        """Make everything noted so far durable.
+
+        Raises:
+            CommitFailed: If it could not be stored; it stays noted, for the next commit.
+        """
+        if not self._todo:
+            return
+        try:
+            with self._file.transaction() as db:
+                for statement, values in self._todo:
+                    db.execute(statement, values)
+        except sqlite3.Error as error:
+            if Trouble.of(error) is Trouble.DAMAGED:
+                raise DamagedFile(f"{self._file.path}: {error}") from error
+            raise CommitFailed(self._file.path, error) from error
+        self._todo.clear()
+        self._noted.clear()
+        self._is_other_log = False
 
     def close(self) -> None:
         """Close the file; what was not committed is lost."""
         self._file.close()
-
-    def _begin(self) -> None:
-        if not self._db.in_transaction:
-            self._db.execute("BEGIN IMMEDIATE")

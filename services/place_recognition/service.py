@@ -16,6 +16,8 @@ from contextlib import ExitStack, closing
 from covinz import codec
 from covinz.bus import Query
 from covinz.config import Config
+from covinz.damage import rebuildable
+from covinz.durable import DamagedFile
 from covinz.keyframes import RemoteKeyframeStore
 from covinz.log_follower import LogFollower, LogReset
 from covinz.machine import THIS_MACHINE, Machine
@@ -58,7 +60,8 @@ def run(context: Context) -> None:
     gate = PageGate(context.inbox, calibrations, machine)
     with ExitStack() as stack:
         path = context.data_dir / "place_recognition.sqlite"
-        journal = stack.enter_context(closing(Journal(path)))
+        journal = rebuildable(path, lambda: Journal(path), DamagedFile)
+        stack.enter_context(closing(journal))
         dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, journal)
         desk = Desk(dispatcher, journal, context.bus)
         service = PlaceRecognition(
@@ -189,7 +192,7 @@ class PlaceRecognition:
     def _patience_s(self) -> float | None:
         if self._pages:
             return 0.0
-        deadline_s = self._dispatcher.next_deadline_s()
+        deadline_s = self._desk.next_deadline_s()
         return None if deadline_s is None else max(0.0, deadline_s - self._clock_s())
 
     def _handle(self, event: object) -> None:

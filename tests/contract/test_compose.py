@@ -222,3 +222,10 @@ def test_the_check_hands_a_scenarios_settings_to_the_containers() -> None:
         "optimizer": {"odometry_of": {"a0": {"min_rotation": 0.1}}},
     }
     assert config.with_environment({}, environment(settings)) == settings
+
+
+def test_containers_share_the_processors_as_the_processes_of_covinz_up_do(services: Json) -> None:
+    for name, niceness in config.Config().niceness.model_dump().items():
+        # The scheduler's weight of a process, within a step and a half of niceness: sched(7).
+        weight = 1024 * 1.25**-niceness
+        assert services[name].get("cpu_shares", 1024) / weight == pytest.approx(1.0, abs=0.4), name

@@ -33,6 +33,7 @@ def test_robots_are_rows_and_their_images_columns(scenario_file: Path, tmp_path:
     command = [str(scenario_file), "--out", str(out), "--columns", "3", "--width", str(WIDTH_PX)]
     assert main(command) == 0
     sheet = cv2.imread(str(out))
+    assert sheet is not None
     assert np.array_equal(sheet, contact_sheet(load_scenario(scenario_file), 3, WIDTH_PX))
     height_px = WIDTH_PX * 3 // 4
     assert sheet.shape == (2 * height_px + GAP_PX, 3 * WIDTH_PX + 2 * GAP_PX, 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -78,7 +80,9 @@ PLAYED = {
 }
 
 
-def record(jobs: list[JobRecord], b_offset_m: float = 0.0, played: dict | None = None) -> RunRecord:
+def record(
+    jobs: list[JobRecord], b_offset_m: float = 0.0, played: dict[str, Any] | None = None
+) -> RunRecord:
     poses = {
         "a": [pose(float(x)) for x in range(3)],
         "b": [pose(float(x), b_offset_m) for x in range(3)],

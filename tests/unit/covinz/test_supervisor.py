@@ -81,6 +81,36 @@ def test_a_process_that_ignores_sigterm_is_killed(
     assert not alive(started(up)[0])
 
 
+BEATS = (
+    "import threading\n"
+    "from covinz.beats import Beats\n"
+    "def beat():\n"
+    "    while True:\n"
+    "        Beats.of_process().send()\n"
+    "        threading.Event().wait(0.1)\n"
+    "threading.Thread(target=beat, daemon=True).start()"
+)
+
+
+def test_a_process_that_hangs_is_killed_and_started_again(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    beating = ProcessSpec("a", spec("a", up, BEATS).argv, beats=True)
+    silent = spec("b", up)  # does not promise any heartbeat
+    with Supervisor([beating, silent], silent_s=3.0) as supervisor:
+        wait_for(lambda: len(started(up)) == 2)
+        victim = next(
+            pid for pid in started(up) if b"Beats" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        )
+        os.kill(victim, signal.SIGSTOP)
+        wait_for(lambda: supervisor.starts() == {"a": 2, "b": 1})
+        wait_for(lambda: len(started(up)) == 3)
+    assert "a gives no sign of life any more" in caplog.text
+    assert "b gives no sign" not in caplog.text
+
+
 def test_output_goes_to_a_log_of_its_own(tmp_path: Path) -> None:
     up = tmp_path / "up"
     up.mkdir()

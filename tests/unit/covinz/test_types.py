@@ -115,9 +115,9 @@ def test_descriptors_have_the_length_of_their_type(kind: FeatureType) -> None:
 
 
 def test_a_keyframe_has_one_block_a_kind() -> None:
-    orb = types.Features(FeatureType.ORB, np.zeros((2, 2)), np.zeros((2, 32)))
-    sift = types.Features(FeatureType.SIFT, np.zeros((3, 2)), np.zeros((3, 128)))
-    both = dataclasses.replace(KEYFRAME, features=orb, more_features=[sift])
+    orb = types.Features(FeatureType.ORB, np.zeros((2, 2), "f4"), np.zeros((2, 32), "u1"))
+    sift = types.Features(FeatureType.SIFT, np.zeros((3, 2), "f4"), np.zeros((3, 128), "u1"))
+    both = dataclasses.replace(KEYFRAME, features=orb, more_features=(sift,))
     assert both.all_features == (orb, sift)
     assert both.features_of(FeatureType.SIFT) is sift
     assert dataclasses.replace(KEYFRAME, features=sift).features_of(FeatureType.ORB) is None

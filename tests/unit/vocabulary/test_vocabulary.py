@@ -27,7 +27,7 @@ def textures() -> Iterator[NDArray[np.uint8]]:
 
 PROVENANCE = json.loads((FOLDER / "provenance.json").read_text())
 CONFIG = PlaceRecognitionConfig()
-SHIPPED = {
+SHIPPED: dict[str, tuple[Path, type[core.Vocabulary] | type[core.ByteVocabulary]]] = {
     "orb": (CONFIG.vocabulary, core.Vocabulary),
     "sift": (CONFIG.sift.vocabulary, core.ByteVocabulary),
 }

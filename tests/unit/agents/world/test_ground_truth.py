@@ -96,7 +96,9 @@ def _transfer_errors_px(opened: Renderer, lens_of: Camera, T_a: Array, T_b: Arra
     smooth = np.abs(depth - first.depth_m[row, column]) < 0.02 * depth
     in_a = rays / rays[:, 2:] * depth[:, None]
     in_b = (in_a @ T_a[:3, :3].T + T_a[:3, 3] - T_b[:3, 3]) @ T_b[:3, :3]
-    expected = covinz_core.project_points(lens_of.model, lens_of.params, in_b.astype(np.float64))
+    expected = covinz_core.project_points(
+        lens_of.model, list(lens_of.params), in_b.astype(np.float64)
+    )
     errors = (to_px - expected)[smooth]
     # Wrong matches are a matter of the matcher.
     return np.asarray(errors[np.abs(errors).max(axis=1) < 3])

@@ -16,7 +16,7 @@ def test_every_ray_projects_onto_its_pixel(model: str) -> None:
     given = camera(model)
     rays = lens.pixel_rays(given).reshape(-1, 3)
     rows, columns = np.divmod(np.arange(len(rays)), given.width)
-    seen_px = covinz_core.project_points(model, given.params, 3.0 * rays)
+    seen_px = covinz_core.project_points(model, list(given.params), 3.0 * rays)
     np.testing.assert_allclose(seen_px, np.stack([columns, rows], axis=1), atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-12)
 

@@ -67,8 +67,8 @@ def test_the_seed_decides(world: World) -> None:
     for one, other in zip(again.faces, world.faces, strict=True):
         np.testing.assert_array_equal(one.corner_m, other.corner_m)
         assert one.material == other.material
-    other = build_world(SCENE.model_copy(update={"seed": 6}), flight_m())
-    assert [f.material for f in other.faces] != [f.material for f in world.faces]
+    reseeded = build_world(SCENE.model_copy(update={"seed": 6}), flight_m())
+    assert [f.material for f in reseeded.faces] != [f.material for f in world.faces]
 
 
 def test_needs_a_path() -> None:

@@ -16,7 +16,7 @@ def radiance(seed: int = 0) -> NDArray[np.float32]:
     return np.random.default_rng(seed).uniform(0.05, 0.6, (120, 160, 3)).astype(np.float32)
 
 
-def picture(sensor: Sensor, light: NDArray[np.float32], seed: int = 0) -> NDArray[np.float64]:
+def picture(sensor: Sensor, light: NDArray[np.floating], seed: int = 0) -> NDArray[np.float64]:
     return expose(light, sensor, np.random.default_rng(seed)).astype(float)
 
 

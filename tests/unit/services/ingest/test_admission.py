@@ -129,7 +129,7 @@ def test_two_kinds_are_admitted_and_counted_together() -> None:
 
 
 def test_keypoints_of_a_second_kind_lie_in_the_image() -> None:
-    outside = Features(FeatureType.SIFT, np.array([[0.0, 480.0]]), np.zeros((1, 128)))
+    outside = Features(FeatureType.SIFT, np.array([[0.0, 480.0]], "f4"), np.zeros((1, 128), "u1"))
     kf = dataclasses.replace(keyframe(), more_features=(outside,))
     assert code_of(codec.encode(kf)) == Code.KEYPOINT_OUTSIDE
 

@@ -187,7 +187,7 @@ def test_when_the_disk_fails_nothing_is_acknowledged(bench: Bench, path: Path) -
     other.execute("BEGIN IMMEDIATE")
     assert (
         bench.handle(keyframe_question(0), keyframe_question(1))
-        == [RetryAfter(0.5, "cannot store now")] * 2
+        == [RetryAfter(2.0, "the server cannot write to its disk")] * 2
     )
     other.execute("ROLLBACK")
     other.close()

@@ -28,7 +28,7 @@ def as_sift(orb: Features) -> Features:
 def with_kinds(room: Any, kinds_of: Callable[[Keyframe], tuple[FeatureType, ...]]) -> Any:
     """The room with other features in its keyframes; a kind that comes second is noise."""
     for kf_id, kf in list(room.store.keyframes.items()):
-        blocks = []
+        blocks: list[Features] = []
         for kind in kinds_of(kf):
             features = kf.features if kind is ORB else as_sift(kf.features)
             blocks.append(noisy(features) if blocks else features)

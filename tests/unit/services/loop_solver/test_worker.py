@@ -20,6 +20,7 @@ from covinz.types import (
     JobDone,
     Lease,
     LeaseRequest,
+    LogPage,
     LoopClosure,
     LoopJob,
     Outcome,
@@ -32,26 +33,30 @@ from covinz.types import (
 from services.loop_solver.worker import Worker
 
 PATIENCE_S = 20.0
+LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+OTHER_LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAW"
 
 
 class Server:
-    """Dispatcher and optimizer as a worker sees them: every question waits for the test."""
+    """Dispatcher, optimizer and ingest as a worker sees them: every question waits for the test."""
 
     def __init__(self, bus: InMemoryBus) -> None:
         self.leases: queue.Queue[Query] = queue.Queue()
         self.loops: queue.Queue[Query] = queue.Queue()
         self.done: queue.Queue[Query] = queue.Queue()
         self.rejections: queue.Queue[bytes] = queue.Queue()
+        self.ranges: queue.Queue[Query] = queue.Queue()
+        bus.answer(keyexprs.LOG_RANGE, self.ranges.put)
         bus.answer(keyexprs.JOB_LEASE, self.leases.put)
         bus.answer(keyexprs.LOOP, self.loops.put)
         bus.answer(keyexprs.JOB_DONE, self.done.put)
         bus.subscribe(keyexprs.REJECTION, lambda _, payload: self.rejections.put(payload))
 
-    def lend(self, job: LoopJob) -> str:
+    def lend(self, job: LoopJob, log_id: str = "") -> str:
         """Answer the next request with a job; returns the worker's name."""
         query = self.leases.get(timeout=PATIENCE_S)
         worker = codec.decode(query.payload, LeaseRequest).worker
-        query.reply(codec.encode(Lease(job, worker, 1, 60.0)))
+        query.reply(codec.encode(Lease(job, worker, 1, 60.0, log_id)))
         return worker
 
     def take_loop(self, answer: UploadReply) -> LoopClosure:
@@ -170,6 +175,20 @@ def test_a_loop_that_the_optimizer_refuses_is_a_rejection(
     outcome = server.take_done().outcome
     assert isinstance(outcome, Rejection)
     assert outcome.stage == "refused" and "not_rigid" in outcome.detail
+
+
+def test_a_loop_of_a_lost_log_is_not_sent_for_ever(room: Any, server: Server, start: Start) -> None:
+    start(loop_of)
+    server.lend(room.job, LOG)
+    # The optimizer is only late, then ingest has begun another log.
+    for log_id in (LOG, OTHER_LOG):
+        assert server.take_loop(RetryAfter(0.001, "another log")).log_id == LOG
+        query = server.ranges.get(timeout=PATIENCE_S)
+        query.reply(codec.encode(LogPage(log_id, 7, ())))
+    done = server.take_done(Rejected("other_log", "lost"))
+    assert done.log_id == LOG
+    assert isinstance(done.outcome, Rejection) and "other_log" in done.outcome.detail
+    server.leases.get(timeout=PATIENCE_S)
 
 
 def test_a_job_waits_for_the_keyframes(room: Any, server: Server, start: Start) -> None:

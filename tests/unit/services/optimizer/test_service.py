@@ -34,9 +34,10 @@ from covinz.types import (
     UploadReply,
 )
 from services.optimizer.components import Component
-from services.optimizer.doors import Asked, LoopBrought
+from services.optimizer.doors import RETRY_AFTER_S, Asked, LoopBrought
 from services.optimizer.loop_store import LoopStore
 from services.optimizer.service import Optimizer
+from services.optimizer.unsent import RETRY_S
 from services.optimizer.worker import OptimisationCrashed, run_job
 from tests.fleets import closure, keyframe, make_fleet, session
 
@@ -86,6 +87,10 @@ class Bench:
             clock_s=lambda: self.now_s,
             now_ns=lambda: 5,
         )
+
+    def set_writable(self, writable: bool) -> None:
+        """Whether the store's disk takes writes."""
+        self.store._file.db.execute(f"PRAGMA query_only = {not writable}")
 
     def restart(self) -> None:
         self.store.close()
@@ -177,6 +182,7 @@ def test_a_loop_is_durable_before_it_is_acked(bench: Bench) -> None:
             super().reply(payload)
 
     stored: list[tuple[str]] = []
+    bench.begin()
     question = Suspicious(keyexprs.LOOP, codec.encode(BRIDGE))
     bench.optimizer.handle([LoopBrought(question)])
     assert codec.decode_upload_reply(question.answers[0]) == Stored()
@@ -312,6 +318,7 @@ def test_a_loop_that_cannot_be_optimised_is_left_out(bench: Bench) -> None:
     # version, and within a segment, so that no start makes it fit.
     far = keyframe("a", 0, 1, transform(np.eye(3), [1000.0, 0.0, 0.0]))
     bad = dataclasses.replace(closure(far.id, PAIR[0].id), covariance=1e-304 * np.eye(6))
+    bench.begin()
     bench.store.add([(bad.job_id, codec.encode(bad))])
     bench.restart()
     bench.begin()
@@ -386,19 +393,25 @@ def test_the_map_does_not_depend_on_timing_and_survives_restarts(bench: Bench) -
 def test_another_log_has_other_loops(bench: Bench) -> None:
     bench.begin()
     bench.read(PAIR)
-    early = closure(keyframe("a", 7, 0).id, keyframe("b", 8, 0).id)
     bench.bring(BRIDGE)
-    bench.bring(early)  # of a worker that has seen the new log before us
+    early = closure(keyframe("a", 7, 0).id, keyframe("b", 8, 0).id)
+    early = dataclasses.replace(early, log_id=OTHER_LOG)
+    # Of a worker that has seen the new log before us.
+    assert isinstance(bench.bring(early), RetryAfter)
     (job,) = bench.jobs
     bench.begin(OTHER_LOG)
     bench.finish(job)  # of the old log
     status = bench.status()
-    assert (status.log_id, status.cursor, status.pending) == (OTHER_LOG, 0, 1)
+    assert (status.log_id, status.cursor, status.pending) == (OTHER_LOG, 0, 0)
     assert bench.maps().maps == ()
     bench.read([keyframe("a", 7, 0), keyframe("b", 8, 0)], OTHER_LOG)
+    assert bench.bring(early) == Stored()
+    # Of a worker that was slow, and whose keyframes the new log happens to have.
+    assert isinstance(bench.bring(dataclasses.replace(BRIDGE, log_id=LOG)), RetryAfter)
     bench.jobs.remove(job)
     assert bench.run() == 1
     assert [summary.num_loops for summary in bench.maps().maps] == [1]
+    assert bench.status().counters["loops_of_other_logs"] == 2
 
 
 def test_corrections_of_another_log_are_news_though_the_clock_was_set_back(bench: Bench) -> None:
@@ -412,13 +425,11 @@ def test_corrections_of_another_log_are_news_though_the_clock_was_set_back(bench
     assert min(c.stamp_ns for c in after) > max(c.stamp_ns for c in before)
 
 
-def test_loops_that_come_before_any_log_are_kept(bench: Bench) -> None:
-    assert bench.bring(BRIDGE) == Stored()
-    bench.restart()
+def test_loops_wait_until_a_log_is_known(bench: Bench) -> None:
+    assert isinstance(bench.bring(BRIDGE), RetryAfter)
     bench.begin()
-    bench.read(PAIR)
-    assert bench.run() == 1
-    assert [summary.num_loops for summary in bench.maps().maps] == [1]
+    assert bench.bring(BRIDGE) == Stored()
+    assert bench.status().pending == 1
 
 
 def test_the_same_log_from_its_beginning_has_the_same_loops(bench: Bench) -> None:
@@ -548,3 +559,35 @@ def test_a_replay_sends_nothing_before_it_is_done(bench: Bench) -> None:
 )
 def test_questions_without_an_answer_end_at_once(bench: Bench, key: str) -> None:
     assert bench.ask(key) is None
+
+
+# --- a disk that takes no writes ------------------------------------------------------------
+
+
+def test_corrections_wait_until_they_are_durable(bench: Bench) -> None:
+    bench.begin()
+    bench.read(PAIR)
+    bench.heard(2)
+    assert bench.bring(BRIDGE) == Stored()
+    bench.set_writable(False)
+    bench.run()
+    answer = bench.bring(closure(PAIR[1].id, PAIR[0].id))
+    assert answer == RetryAfter(RETRY_AFTER_S, "the server cannot write to its disk")
+    status = bench.status()
+    assert status.dirty
+    assert status.counters["cannot_store.other"] == 1
+    assert bench.optimizer.patience_s() == pytest.approx(RETRY_S)
+    assert bench.heard_nothing_more()
+
+    bench.now_s += RETRY_S
+    bench.optimizer.handle([])
+    assert bench.heard_nothing_more()
+    bench.set_writable(True)
+    bench.now_s += RETRY_S
+    bench.optimizer.handle([])
+    assert {c.keyframe.agent for c in bench.heard(2)} == {"a", "b"}
+    assert not bench.status().dirty
+    revision = bench.store.revision
+    bench.restart()
+    assert bench.store.revision == revision
+    assert len(bench.store.corrections()) == 2

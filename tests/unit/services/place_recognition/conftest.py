@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import covinz_core
 import numpy as np
 import pytest
 
-from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
+from covinz.config import FeatureKind, LoopSolverConfig, PlaceRecognitionConfig
 from covinz.frames import transform
 from covinz.types import (
     Camera,
@@ -91,7 +92,10 @@ class World:
         values = {"min_loop_keyframes": 1, "min_loop_s": 0.0, "min_score": 1.0, **options}
         config = PlaceRecognitionConfig.model_validate(values)
         solver = solver or LoopSolverConfig()
-        vocabularies = {"orb": self.vocabulary, "sift": self.sift_vocabulary}
+        vocabularies: dict[FeatureKind, Any] = {
+            "orb": self.vocabulary,
+            "sift": self.sift_vocabulary,
+        }
         places = Places(config, solver.kinds, vocabularies)
         return Recognizer(config, solver, places, cameras.get)
 

@@ -29,11 +29,12 @@ from covinz.types import (
     RigMember,
     Stored,
 )
-from services.place_recognition.desk import Desk, WorkerGone, open_desk
+from services.place_recognition.desk import RETRY_S, Desk, WorkerGone, open_desk
 from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
 LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+OTHER_LOG = "01ARZ3NDEKTSV4RRFFQ69G5FAW"
 PATIENCE_S = 20.0
 
 
@@ -64,6 +65,10 @@ class Office:
         self.desk = Desk(self.dispatcher, self.journal, self.bus)
         self.now_s = 0.0
         stack.enter_context(open_desk(self.bus, self.inbox))
+
+    def set_writable(self, writable: bool) -> None:
+        """Whether the journal's disk takes writes."""
+        self.journal._file.db.execute(f"PRAGMA query_only = {not writable}")
 
     def step(self, seconds: float = 0.0) -> None:
         """Handle the next event, or only let time pass."""
@@ -123,6 +128,7 @@ def test_a_request_is_held_until_there_is_a_job(office: Office, ask: Ask) -> Non
     office.step(seconds=1.0)
     lease = codec.decode(asked.replies()[0], Lease)
     assert (lease.job.id, lease.worker, lease.attempt) == (job(0).id, "w", 1)
+    assert lease.log_id == LOG
 
 
 def test_a_request_ends_empty_after_the_long_poll(office: Office, ask: Ask) -> None:
@@ -148,6 +154,18 @@ def test_an_outcome_is_acknowledged_once_it_is_durable(office: Office, ask: Ask)
     office.journal.close()
     with closing(Journal(office.path)) as again:
         assert again.recall(job(0).id).outcome == rejection(0)
+
+
+def test_an_outcome_of_a_lost_log_is_refused_for_good(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(0), OTHER_LOG))
+    office.step()
+    answer = codec.decode_upload_reply(asked.replies()[0])
+    assert isinstance(answer, Rejected) and answer.code == "other_log"
+    assert office.journal.recall(job(0).id).outcome is None
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(0), LOG))
+    office.step()
+    assert codec.decode_upload_reply(asked.replies()[0]) == Stored()
 
 
 def test_a_worker_s_end_returns_its_job(office: Office, ask: Ask, hub: Hub) -> None:
@@ -212,3 +230,33 @@ def test_a_full_inbox_sends_requests_away_at_once(office: Office, ask: Ask) -> N
         pass
     assert ask(keyexprs.JOB_LEASE, LeaseRequest("w")).replies() == []
     assert ask(keyexprs.JOB_DONE, JobDone("w", rejection(0))).replies() == []
+
+
+def test_while_the_disk_takes_no_writes_nothing_is_lent_or_acknowledged(
+    office: Office, ask: Ask
+) -> None:
+    office.dispatcher.add(job(0))
+    office.set_writable(False)
+    lease = ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
+    office.step()
+    assert lease.replies() == []
+    done = ask(keyexprs.JOB_DONE, JobDone("w", rejection(1)))
+    office.step()
+    assert done.replies() == []
+    assert office.desk.counters == {"cannot_store.other": 1}
+    assert office.desk.next_deadline_s() == RETRY_S
+    office.step(seconds=RETRY_S)  # still so
+    assert office.desk.next_deadline_s() == 2 * RETRY_S
+
+    office.set_writable(True)
+    office.step(seconds=RETRY_S)
+    assert office.desk.counters == {}
+    lease = ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
+    office.step()
+    assert codec.decode(lease.replies()[0], Lease).attempt == 1
+    done = ask(keyexprs.JOB_DONE, JobDone("w", rejection(1)))
+    office.step()
+    assert codec.decode_upload_reply(done.replies()[0]) == Duplicate()
+    office.journal.close()
+    with closing(Journal(office.path)) as again:
+        assert again.recall(job(1).id).outcome == rejection(1)

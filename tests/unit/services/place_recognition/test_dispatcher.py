@@ -18,7 +18,9 @@ from covinz.types import (
     LoopClosure,
     LoopJob,
     Outcome,
+    Rejected,
     Rejection,
+    RetryAfter,
     RigMember,
 )
 from services.place_recognition import dispatcher as module
@@ -106,6 +108,18 @@ def test_an_outcome_ends_the_job(desk: Dispatcher[str]) -> None:
     assert not desk.finish(rejection(0))
     (record,) = desk.page(0).records
     assert record.state is JobState.DONE and isinstance(record.outcome, LoopClosure)
+
+
+def test_outcomes_before_the_log_is_known(desk: Dispatcher[str], journal: Journal) -> None:
+    journal.commit()
+    # A restart: the journal's log is the likely one, but not certain.
+    again: Dispatcher[str] = Dispatcher(CONFIG, journal)
+    assert again.objection(LOG) is None
+    assert again.objection("") is None
+    assert isinstance(again.objection(OTHER_LOG), RetryAfter)
+    again.reset(OTHER_LOG)
+    assert again.objection(OTHER_LOG) is None
+    assert isinstance(again.objection(LOG), Rejected)
 
 
 def test_a_lease_ends_at_its_deadline(desk: Dispatcher[str]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from covinz import codec
+from covinz.damage import CommitFailed, Trouble
 from covinz.durable import DurableFileError
 from covinz.types import JobState, KeyframeId, LoopClosure, Rejection
 from services.place_recognition.journal import Journal
@@ -119,3 +120,36 @@ def test_a_dead_job_may_still_be_done(journal: Journal) -> None:
 def test_one_owner_at_a_time(journal: Journal, path: Path) -> None:
     with pytest.raises(DurableFileError, match="in use"):
         Journal(path)
+
+
+def test_what_could_not_be_written_counts_and_is_written_later(
+    journal: Journal, reopen: Reopen
+) -> None:
+    journal.note_attempt(job_id(1), 1)
+    journal.commit()
+    db = journal._file.db
+    (pages,) = db.execute("PRAGMA page_count").fetchone()
+    db.execute(f"PRAGMA max_page_count = {pages}")
+    for n in range(200):
+        journal.note_outcome(loop(n), JobState.DONE)
+    for _ in range(3):
+        with pytest.raises(CommitFailed) as caught:
+            journal.commit()
+        assert caught.value.trouble is Trouble.DISK_FULL
+        assert journal.recall(job_id(1)).state is JobState.DONE
+        assert journal.recall(job_id(1)).attempts == 1
+    db.execute("PRAGMA max_page_count = 1000000")
+    journal.commit()
+    journal = reopen()
+    assert all(journal.recall(job_id(n)).state is JobState.DONE for n in range(200))
+    assert journal.recall(job_id(1)).attempts == 1
+
+
+def test_a_job_whose_outcome_is_damaged_is_done_again(journal: Journal, reopen: Reopen) -> None:
+    journal.note_outcome(loop(1), JobState.DONE)
+    journal.note_outcome(loop(2), JobState.DONE)
+    journal.commit()
+    journal._file.db.execute("UPDATE job SET outcome = x'00' WHERE id = ?", (job_id(1),))
+    journal = reopen()
+    assert journal.recall(job_id(1)).state is JobState.PENDING
+    assert journal.recall(job_id(2)).state is JobState.DONE

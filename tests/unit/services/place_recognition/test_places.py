@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
+from covinz.config import FeatureKind, LoopSolverConfig, PlaceRecognitionConfig
 from covinz.types import FeatureType, Keyframe, KeyframeId, LogEntry
 from services.place_recognition.places import Places
 
@@ -17,7 +17,7 @@ LogOf = Callable[[Iterable[Keyframe]], list[LogEntry]]
 EVERYTHING = np.ones(100, dtype=bool)
 
 
-def places_of(world: Any, *kinds: str, **options: object) -> Places:
+def places_of(world: Any, *kinds: FeatureKind, **options: object) -> Places:
     values = {"min_score": 1.0, "min_score_ratio": 0.0, **options}
     config = PlaceRecognitionConfig.model_validate(values)
     return Places(config, kinds, {"orb": world.vocabulary, "sift": world.sift_vocabulary})
