@@ -38,9 +38,7 @@ def rig_exposures(
     return [_exposure(member, store.camera(member.camera_hash), readout_s) for member in members]
 
 
-def _exposure(
-    member: RigMember, camera: Camera, readout_s: float
-) -> covinz_core.CameraExposure:
+def _exposure(member: RigMember, camera: Camera, readout_s: float) -> covinz_core.CameraExposure:
     seconds = readout_s if camera.readout_s is None else camera.readout_s
     twists = np.zeros((2, 6)) if member.twists is None else member.twists
     before, after = twists @ frames.adjoint(frames.inverse(camera.T_body_cam)).T

@@ -11,7 +11,6 @@ from covinz.frames import local_error
 from covinz.odometry import motion_covariance
 from covinz.types import Array, Keyframe
 
-
 # Keyframes nearer in time say more about odometry's noise than about a twist. [s]
 _MIN_STEP_S = 5e-3
 # No robot is faster, only odometry that jumps. [rad/s, m/s]

@@ -123,7 +123,14 @@ def log_pages(draw: st.DrawFn) -> types.LogPage:
 
 
 rigs = st.lists(
-    st.builds(types.RigMember, keyframe_ids, poses, hashes, st.none() | covariances, st.none() | generators.map(_twists)),
+    st.builds(
+        types.RigMember,
+        keyframe_ids,
+        poses,
+        hashes,
+        st.none() | covariances,
+        st.none() | generators.map(_twists),
+    ),
     min_size=1,
     max_size=3,
 ).map(tuple)
