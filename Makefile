@@ -1,4 +1,4 @@
-# Targets: setup check test lint bench simulate results results-loops demo schemas vocabulary. All but `setup` run it first.
+# Targets: setup check test lint bench simulate results results-loops drill demo schemas vocabulary. All but `setup` run it first.
 
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +13,7 @@ PYTHON_DIRS := covinz services agents/covinz_agents benchmarks scripts tests voc
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: setup check test lint simulate bench results results-loops demo schemas vocabulary core-tests core-sanitize clean
+.PHONY: setup check test lint simulate bench results results-loops drill demo schemas vocabulary core-tests core-sanitize core-neon clean
 
 setup: $(STAMPS)/apt $(STAMPS)/venv $(STAMPS)/core $(STAMPS)/packages
 
@@ -67,6 +67,10 @@ core-tests: setup
 	cmake --build core/build/tests -j $(JOBS)
 	ctest --test-dir core/build/tests --output-on-failure -j $(JOBS)
 
+# The matching kernels of 64-bit ARM, emulated (needs g++-aarch64-linux-gnu and qemu-user).
+core-neon:
+	scripts/neon_tests.sh
+
 core-sanitize: setup
 	cmake -S core -B core/build/sanitize -GNinja -DCOVINZ_BUILD_TESTS=ON -DCOVINZ_BUILD_PYTHON=OFF -DCOVINZ_SANITIZE=ON >/dev/null
 	cmake --build core/build/sanitize -j $(JOBS)
@@ -108,6 +112,12 @@ results-loops: setup
 	  $(BIN)/python -m benchmarks.$$name --json benchmarks/results/$$name.json >/dev/null; \
 	done
 	$(BIN)/python -m benchmarks.readme
+	$(BIN)/python -m benchmarks.results_page
+
+# Every fault that a fleet meets: docs/testing.md. Half an hour; links and full disks need root.
+drill: setup
+	@mkdir -p benchmarks/results
+	-$(BIN)/python -m benchmarks.fault_drill --json benchmarks/results/fault_drill.json >/dev/null
 	$(BIN)/python -m benchmarks.results_page
 
 demo: setup

@@ -24,8 +24,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.corpus import good_messages, read_corpus, write_corpus
 from tests.fuzz.fuzzing import MAX_CPU_S, MAX_PEAK_BYTES, MAX_PEAK_PER_BYTE, Fuzzer
+from tests.fuzz.inputs import good_messages, read_corpus, write_corpus
 
 # Nothing was decoded for so long: the process ends and says where it was. [s of wall clock]
 HANG_S = 300.0

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from benchmarks.drill.table import drill_section
 from benchmarks.loop_tables import accuracy_section, synthetic_section, table, traffic_section
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -40,11 +41,12 @@ _SUMMARY = (
     "wrong (bending)", "loop error, median", "joint ATE before → after", "solver, median / p95",
     "lost",
 )  # fmt: skip
-# Sections of the benchmarks of loops, in this order.
-_LOOPS = {
+# Sections of other benchmarks, in this order.
+_SECTIONS = {
     "loop_synthetic": synthetic_section,
     "loop_accuracy": accuracy_section,
     "runtime_traffic": traffic_section,
+    "fault_drill": drill_section,
 }
 _AGENT = ("robot", "keyframes", "path", "ATE before → after", "kB/s")
 
@@ -53,7 +55,7 @@ def page(
     reports: Mapping[str, Mapping[str, Any]],
     machine: str,
     demo: Mapping[str, Any] | None = None,
-    loops: Mapping[str, Mapping[str, Any]] | None = None,
+    others: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> str:
     """The text of docs/results.md.
 
@@ -61,13 +63,13 @@ def page(
         reports: `report.json` of every scenario by its name.
         machine: Architecture they ran on.
         demo: What `benchmarks/demo.py` measured, if it was.
-        loops: What the benchmarks of loops measured, by their names, those that were run.
+        others: What the other benchmarks measured, by their names, those that were run.
     """
     text = _HEAD.format(machine=machine)
     text += table(_SUMMARY, [summary(linked(name), report) for name, report in reports.items()])
     if demo is not None:
         text += demo_section(demo)
-    text += "".join(_LOOPS[name](report) for name, report in (loops or {}).items())
+    text += "".join(_SECTIONS[name](report) for name, report in (others or {}).items())
     return text + "".join(section(name, report) for name, report in reports.items())
 
 
@@ -176,9 +178,9 @@ def read() -> str:
     made = json.loads((_RESULTS / "large_scenarios.json").read_text())
     demo = _RESULTS / "demo.json"
     measured = json.loads(demo.read_text()) if demo.exists() else None
-    files = {name: _RESULTS / f"{name}.json" for name in _LOOPS}
-    loops = {name: json.loads(file.read_text()) for name, file in files.items() if file.exists()}
-    return page(made["reports"], made["machine"], measured, loops)
+    files = {name: _RESULTS / f"{name}.json" for name in _SECTIONS}
+    others = {name: json.loads(file.read_text()) for name, file in files.items() if file.exists()}
+    return page(made["reports"], made["machine"], measured, others)
 
 
 def main() -> None:

@@ -10,12 +10,14 @@ from types import TracebackType
 
 from covinz import codec, keyexprs
 from covinz.access.credentials import SUFFIX, agent_bus
-from covinz.bus import Bus, ZenohBus
+from covinz.bus import Bus, ZenohBus, check_size
 from covinz.config import BusConfig, Config
 from covinz.corrections import CorrectionFeed
 from covinz.frames import is_rigid
 from covinz.machine import THIS_MACHINE, Machine
-from covinz.spool import Spool, SpoolRow
+from covinz.spool import Spool, SpoolReport
+from covinz.spool_rows import SpoolEntry, SpoolRow
+from covinz.spool_writer import SpoolWriter
 from covinz.types import (
     AGENT_PATTERN,
     ULID_PATTERN,
@@ -39,9 +41,10 @@ class Agent:
             for content in frontend.keyframes():
                 agent.send(content)
 
-    Nothing that `send` returned for is lost: it is on the disk of the robot until the server has
-    it on its own, across failures of link, server and robot. What an earlier run left in the
-    spool is uploaded too.
+    Nothing that is on the robot's disk is lost: it stays there until the server has it on its own,
+    across failures of link, server and robot. `send` waits for the disk, but only for 20 ms; what
+    a slower disk has not taken yet is counted by `unsaved` (usually 0) and would be lost with the
+    robot's process. What an earlier run left in the spool is uploaded too.
 
     Args:
         agent_id: Name of the robot, ``[a-z0-9][a-z0-9_-]{0,31}``; the same at every start.
@@ -61,6 +64,8 @@ class Agent:
         BusError: If the endpoint is malformed, or needs credentials.
         ValueError: If a name is malformed.
         SpoolError: If the spool cannot be used, e.g. since another process does.
+
+    Source: decision 0027.
     """
 
     def __init__(
@@ -80,13 +85,13 @@ class Agent:
         self._agent = agent_id
         self._config = config or Config()
         self._machine = machine
-        self._session = _session(session, machine)
         self._on_rejected = on_rejected
-        self._sending = machine.lock()  # session and sequence number go together
+        self._resetting = machine.lock()  # writer and feed change their session together
         self._closed = False
+        session = _session(session, machine)
         way = _way(agent_id, bus, credentials, self._config)
         with ExitStack() as undo:
-            self._spool = Spool(Path(spool), agent_id, self._config.agent.max_spool_bytes)
+            self._spool = Spool(Path(spool), agent_id, self._config.agent, machine)
             undo.callback(self._spool.close)
             self._own_bus = isinstance(way, BusConfig)
             self._bus: Bus = ZenohBus.open(way) if isinstance(way, BusConfig) else way
@@ -95,24 +100,37 @@ class Agent:
             self._uploader = Uploader(
                 self._bus, self._spool, agent_id, self._config.agent, self._rejected, machine
             )
-            self._feed = CorrectionFeed(self._bus, agent_id, self._session, on_correction, machine)
+            self._writer = SpoolWriter(
+                self._spool, session, self._config.agent, self._uploader.hurry, machine
+            )
+            self._feed = CorrectionFeed(self._bus, agent_id, session, on_correction, machine)
             self._declared = [
                 self._bus.declare_alive(keyexprs.agent_alive(agent_id)),
                 self._bus.watch_answered(keyexprs.agent_keyframe(agent_id), self._on_ingest),
                 self._bus.watch_answered(keyexprs.agent_correction(agent_id), self._on_optimizer),
             ]
+            self._writer.start()
             self._uploader.start()
             undo.pop_all()
 
     @property
     def session(self) -> str:
         """ULID of the current run of the odometry."""
-        return self._session
+        return self._writer.session
 
     @property
     def pending(self) -> int:
         """Uploads that the server has not acknowledged."""
-        return len(self._spool)
+        return len(self._spool) + self._writer.unsaved
+
+    @property
+    def unsaved(self) -> int:
+        """Keyframes that `send` returned for and that a slow disk has not taken yet; usually 0."""
+        return self._writer.unsaved
+
+    def report(self) -> SpoolReport:
+        """What waits on the disk, and what had to be given up or was refused since it was made."""
+        return self._spool.report()
 
     @property
     def correction(self) -> Correction | None:
@@ -126,53 +144,66 @@ class Agent:
         return None if correction is None else correction.T_map_odom
 
     def send(self, content: KeyframeContent) -> KeyframeId:
-        """Hand over a keyframe; it is on the robot's disk when this returns.
+        """Hand over a keyframe.
 
-        Never waits for the network.
+        It is on the robot's disk when this returns, unless the disk takes longer than
+        `agent.max_send_wait_s`; then the disk follows (see `unsaved`). Never waits for the
+        network, and never longer than 50 ms.
 
         Raises:
-            ValueError: If the keyframe can be of no use: the pose is not rigid, or the message
-                too large for the bus. It takes no sequence number then.
-            SpoolError: If it cannot be written, e.g. since the disk is full.
+            ValueError: If the keyframe can be of no use; it takes no sequence number then. In
+                particular StampError, when it is older than the session's last one, and
+                MessageTooLarge.
+            SpoolError: If it was not accepted, e.g. since the disk is full.
         """
         if not is_rigid(content.T_odom_body):
             raise ValueError("T_odom_body is not a finite rigid transform")
-        with self._sending:
-            seq = self._spool.next_seq(self._session)
-            keyframe = _keyframe(KeyframeId(self._agent, self._session, seq), content)
-            payload = codec.encode(keyframe)
-            if len(payload) > self._config.bus.max_message_bytes:
-                raise ValueError(f"a keyframe of {len(payload)} bytes does not fit on the bus")
-            camera = content.camera
-            self._spool.append(keyframe.id, payload, camera.hash, codec.encode(camera))
-        self._uploader.hurry()
-        return keyframe.id
+        return self._writer.put(lambda session, seq: self._entry(session, seq, content))
+
+    def _entry(self, session: str, seq: int, content: KeyframeContent) -> SpoolEntry:
+        name = KeyframeId(self._agent, session, seq)
+        payload = codec.encode(_keyframe(name, content))
+        camera = content.camera
+        limits = self._config.agent.max_keyframe_bytes, self._config.bus.max_message_bytes
+        check_size(payload, min(limits))
+        return SpoolEntry(name, content.stamp_ns, payload, camera.hash, codec.encode(camera))
 
     def new_session(self) -> str:
         """The odometry was reset: later keyframes begin a new segment; returns its session.
 
         Waits for a callback under way: none is given a correction of the old session after this.
         """
-        with self._sending:
-            self._session = new_ulid(self._machine)
-            session = self._session
+        with self._resetting:
+            session = new_ulid(self._machine)
+            self._writer.new_session(session)
             self._feed.new_session(session)
-        self._feed.finish_call()  # not inside: the callback may send
+        self._feed.finish_call()  # not inside: the callback may do this too
         return session
+
+    def wait_saved(self, timeout_s: float | None = None) -> bool:
+        """Wait until everything sent is on the robot's disk; False when time ran out first."""
+        return self._writer.wait_saved(timeout_s)
 
     def wait_delivered(self, timeout_s: float | None = None) -> bool:
         """Wait until the server has acknowledged everything; False when time ran out first."""
-        return self._uploader.wait_empty(timeout_s)
+        clock_s = self._machine.monotonic_s
+        deadline_s = None if timeout_s is None else clock_s() + timeout_s
+        if not self._writer.wait_saved(timeout_s):
+            return False
+        left_s = None if deadline_s is None else max(0.0, deadline_s - clock_s())
+        return self._uploader.wait_empty(left_s)
 
     def close(self, timeout_s: float = 1.0) -> None:
         """Stop; what is not delivered stays in the spool for the next run.
 
         Args:
-            timeout_s: How long to wait for answers that are under way.
+            timeout_s: How long to wait for each of the disk and the answers that are under way.
+                It ends a few seconds later at most, whatever hangs.
         """
         if self._closed:
             return
         self._closed = True
+        self._writer.stop(timeout_s)
         for declared in self._declared:
             declared.close()
         self._uploader.stop(timeout_s)
@@ -182,7 +213,8 @@ class Agent:
         self._feed.close(timeout_s)
         if self._own_bus:
             self._bus.close()
-        self._spool.close()
+        if not self._spool.close(timeout_s):
+            logger.error("the disk hangs; the spool is free again when this process ends")
 
     def __enter__(self) -> Agent:
         return self

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
@@ -21,6 +21,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from covinz import (
+    cli_jobs,
     client,
     config,
     durable,
@@ -33,10 +34,9 @@ from covinz import (
     trajectory,
 )
 from covinz.access import commands as roster_commands
-from covinz.access.credentials import with_credentials
 from covinz.access.roster import FOLDER
 from covinz.access.server import server_bus
-from covinz.bus import Bus, BusError, ZenohBus, open_router, why_not
+from covinz.bus import BusError, open_router
 from covinz.candidates import (
     LOOP,
     Candidate,
@@ -45,9 +45,15 @@ from covinz.candidates import (
     read_candidates,
     short_name,
 )
+from covinz.cli_spool import show_spool
 from covinz.codec import MalformedMessage
+from covinz.connection import CredentialsFile, Endpoint, bus_config, connected
 from covinz.doctor import Verdict, examine, is_well
+from covinz.keyframes import CameraNotFound, KeyframeNotFound, StoreUnavailable
+from covinz.logs import LogFormat, set_up_logging
+from covinz.saved_job import SavedJobError
 from covinz.signals import stop_event
+from covinz.spool import SpoolError
 
 app = typer.Typer(
     help="Collaborative SLAM server: robots send keyframes, covinz puts them into one map.",
@@ -56,28 +62,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.add_typer(roster_commands.app, name="roster")
+app.command("spool")(show_spool)
+app.add_typer(cli_jobs.app, name="jobs")
 console = Console()
 errors = Console(stderr=True)
 
 ConfigFile = Annotated[
     Path | None, typer.Option("--config", help="YAML file with settings that differ.", exists=True)
 ]
-Endpoint = Annotated[
-    str | None,
-    typer.Option(
-        help=f"Where the router listens [{config.BusConfig().endpoint}].",
-        envvar="COVINZ__BUS__ENDPOINT",
-    ),
-]
-CredentialsFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--credentials",
-        help="NAME.covinz of an operator; the server's own is DATA/roster/server.covinz.",
-        envvar="COVINZ__BUS__CREDENTIALS",
-    ),
-]
-CONNECT_TIMEOUT_S = 3.0
 
 
 @app.command()
@@ -89,9 +81,14 @@ def up(
         typer.Option(help="Address of this machine where the robots of the roster connect."),
     ] = None,
     config_file: ConfigFile = None,
+    log_format: Annotated[
+        LogFormat | None, typer.Option(help="How all processes log [text].")
+    ] = None,
 ) -> None:
     """Start the server: router, ingest, place recognition, loop solvers, optimizer."""
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    if log_format is not None:
+        os.environ["COVINZ_LOG_FORMAT"] = log_format
+    set_up_logging("up", "up")
     settings = config.load(config_file)
     bus = server_bus(settings.bus, data / FOLDER, listen)
     settings = settings.model_copy(update={"bus": bus})
@@ -143,7 +140,7 @@ def run_scenario(
 @app.command()
 def status(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> None:
     """Show how far every process of a running server is."""
-    with _connected(endpoint, credentials) as bus:
+    with connected(endpoint, credentials) as bus:
         found = client.statuses(bus)
         if not found:
             raise client.ServerUnavailable("the router is there, but no process answers")
@@ -165,7 +162,7 @@ def doctor(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> No
     """Say why nothing arrives: credentials, connection, processes, robots."""
     colours = {Verdict.GOOD: "green", Verdict.ODD: "yellow", Verdict.BAD: "red"}
     findings = []
-    for finding in examine(_bus_config(endpoint, credentials)):
+    for finding in examine(bus_config(endpoint, credentials)):
         findings.append(finding)
         console.print(f"[{colours[finding.verdict]}]{finding.verdict:4}[/]", end="  ")
         _say(finding.text)
@@ -186,7 +183,7 @@ def why(
     if folder is not None:
         found = read_candidates(folder / "candidates.csv")
     else:
-        with _connected(endpoint, credentials) as bus:
+        with connected(endpoint, credentials) as bus:
             found = candidates(client.jobs(bus))
     rows = [row for row in found if row.concerns(keyframe)]
     if not rows:
@@ -219,7 +216,7 @@ def export_maps(
     credentials: CredentialsFile = None,
 ) -> None:
     """Write the maps of a running server: TUM trajectories per agent and one g2o file a map."""
-    with _connected(endpoint, credentials) as bus:
+    with connected(endpoint, credentials) as bus:
         snapshots = client.snapshots(bus)
     for file in export.write_maps(out, snapshots):
         _say(str(file))
@@ -240,7 +237,7 @@ def report_server(
 ) -> None:
     """Evaluate a running server once it is idle, after robots were played from elsewhere."""
     settings = config.load(config_file)
-    with _connected(endpoint, credentials) as bus:
+    with connected(endpoint, credentials) as bus:
         result = server_report.report_server(bus, scenario, played, out, settings)
     summary.show(console, result.report, result.folder, result.files)
 
@@ -278,27 +275,6 @@ def _leave(number: int, _: FrameType | None) -> None:
     sys.exit(128 + number)
 
 
-def _bus_config(endpoint: str | None, credentials: Path | None) -> config.BusConfig:
-    settings = config.BusConfig()
-    if endpoint is not None:
-        settings = settings.model_copy(update={"endpoint": endpoint})
-    if credentials is not None:
-        settings = with_credentials(settings, credentials, endpoint)
-    return settings
-
-
-@contextmanager
-def _connected(endpoint: str | None, credentials: Path | None) -> Iterator[Bus]:
-    settings = _bus_config(endpoint, credentials)
-    bus = ZenohBus.open(settings)
-    try:
-        if not bus.wait_connected(CONNECT_TIMEOUT_S):
-            raise client.ServerUnavailable(f"no way to {settings.endpoint}: {why_not(settings)}")
-        yield bus
-    finally:
-        bus.close()
-
-
 def _say(text: str) -> None:
     """Print as it is: brackets are no markup, long lines are left to the terminal."""
     console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -317,9 +293,14 @@ def main() -> None:
         CandidatesError,
         MalformedMessage,
         OSError,
+        SpoolError,
         config.ConfigError,
         durable.DurableFileError,
         client.ServerUnavailable,
+        KeyframeNotFound,
+        CameraNotFound,
+        StoreUnavailable,
+        SavedJobError,
         supervisor.ServicesNotFound,
         run.RunFailed,
         trajectory.TrajectoryError,

@@ -63,11 +63,11 @@ class Progress:
         return ", ".join(parts) or "nothing left to do"
 
 
-def statuses(bus: Bus, service: str = "*") -> list[Status]:
-    """Status of every process that answers, sorted by service and instance."""
+def statuses(bus: Bus, service: str = "*", timeout_s: float = 5.0) -> list[Status]:
+    """Status of every process that answers in time, sorted by service and instance."""
     found = [
         codec.decode(reply, Status)
-        for reply in bus.ask(keyexprs.service_status(service, "*"), timeout_s=5.0)
+        for reply in bus.ask(keyexprs.service_status(service, "*"), timeout_s=timeout_s)
     ]
     return sorted(found, key=lambda status: (status.service, status.instance))
 

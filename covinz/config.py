@@ -83,6 +83,11 @@ class IngestConfig(Section):
     retry_after_s: Positive = 0.5
     # The same when the disk is full: it goes on this long after there is room. [s]
     trouble_retry_after_s: Positive = 2.0
+    # Beyond this size of the log the features of its oldest keyframes are dropped, their poses are
+    # kept; None: never. [bytes; decision 0029]
+    max_log_bytes: PositiveInt | None = None
+    # The same after so many days of running; None: never. [days; decision 0029]
+    max_features_days: Positive | None = None
 
 
 class RigConfig(Section):
@@ -169,6 +174,9 @@ class PlaceRecognitionConfig(Section):
     consistent_queries: Count = 0
     # A lease ends after this long without an outcome. [s]
     lease_s: Positive = 60.0
+    # Jobs that may wait for a worker; of more the least useful are given up, and say so. One takes
+    # about 8 kB, and 10,000 are two minutes of work for one solver. [decision 0028]
+    max_pending_jobs: PositiveInt = 10_000
     # So many failed leases and the job goes to the dead-letter list. [decision 0006]
     max_attempts: PositiveInt = 3
     # How long a worker's request for a job is held open. [s]
@@ -327,6 +335,11 @@ class HealthConfig(Section):
     # A process whose main loop is busy with one step for longer ends itself, to be started again.
     # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
     hang_s: Positive = 60.0
+    # Port of this process's /healthz, /readyz and /metrics; None: none, 0: any, said in the log.
+    # `covinz up` gives its processes this one and the following, in the order of `covinz status`.
+    port: Annotated[int, Field(ge=0, lt=2**16)] | None = None
+    # Where: what is told is no secret of a robot, but also nobody else's business.
+    address: str = "127.0.0.1"
 
 
 class AgentConfig(Section):
@@ -334,8 +347,22 @@ class AgentConfig(Section):
 
     # Uploads under way at once. [measured: 2-4]
     window: PositiveInt = 4
+    # `send` waits so long for the disk, then the disk follows. With all else it stays below 50 ms.
+    # [s; decision 0027]
+    max_send_wait_s: NonNegative = 0.02
+    # So much may wait for a slow disk before `send` refuses more: half a minute of keyframes of
+    # 40 kB at ten a second. [bytes]
+    max_unsaved_bytes: PositiveInt = 16 * 1024 * 1024
+    # `send` refuses a keyframe larger than this; `ingest.max_upload_bytes` is the server's own
+    # limit. [bytes]
+    max_keyframe_bytes: PositiveInt = 1024 * 1024
     # The spool drops its oldest keyframes beyond this size and reports a gap. [bytes]
     max_spool_bytes: PositiveInt = 1024 * 1024 * 1024
+    # ... and those that have waited longer than this, counted while the robot's program runs, so
+    # that no clock that is set makes them old. None: never. [s; a week]
+    max_spool_age_s: Positive | None = 7 * 86400.0
+    # Uploads that the server refused for good are kept beside the spool up to this size. [bytes]
+    max_rejected_bytes: PositiveInt = 64 * 1024 * 1024
     # An upload without an answer is sent again after this long. [s]
     ack_timeout_s: Positive = 10.0
     # Back-off between failed attempts grows from ... [s]

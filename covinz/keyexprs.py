@@ -20,6 +20,7 @@ CAMERAS = "covinz/camera/*"
 JOB_LEASE = "covinz/job/lease"
 JOB_DONE = "covinz/job/done"
 JOB_LIST = "covinz/job/list"
+JOB_RETRIES = "covinz/job/retry/*"
 WORKERS_ALIVE = "covinz/job/worker/*/alive"
 LOOP = "covinz/loop"
 REJECTION = "covinz/rejection"
@@ -107,6 +108,19 @@ def worker_of(key: str) -> str:
     parts = key.split("/")
     if parts[:3] != ["covinz", "job", "worker"] or len(parts) != 5:
         raise ValueError(f"no worker in key {key!r}")
+    return parts[3]
+
+
+def job_retry(job_id: str) -> str:
+    """Do a job that was given up after all: query -> dispatcher, answered by an UploadReply."""
+    return f"covinz/job/retry/{job_id}"
+
+
+def job_of(key: str) -> str:
+    """The job in a ``covinz/job/retry/{job}`` key; ValueError otherwise."""
+    parts = key.split("/")
+    if parts[:3] != ["covinz", "job", "retry"] or len(parts) != 4:
+        raise ValueError(f"no job in key {key!r}")
     return parts[3]
 
 

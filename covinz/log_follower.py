@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from covinz import codec, keyexprs
 from covinz.bus import Bus, BusClosed
 from covinz.machine import THIS_MACHINE, Machine
-from covinz.types import LogHead, LogPage, LogRange, LogView
+from covinz.types import LogHead, LogMark, LogPage, LogRange, LogView
 
 logger = logging.getLogger(__name__)
 
@@ -63,20 +63,25 @@ class LogFollower:
         self._recheck_s = recheck_s
         self._cursor = 0
         self._log_id = ""
+        self._chain = ""
+        self._mark: LogMark | None = None
         self._news = machine.event()
         self._closing = False
         self._thread = machine.thread(self._run, "log-follower", daemon=True)
         self._declared = ExitStack()
 
-    def start(self, cursor: int, log_id: str) -> None:
+    def start(self, cursor: int, log_id: str, mark: LogMark | None = None) -> None:
         """Begin to follow; call it once.
 
         Args:
             cursor: Index of the first entry that is wanted.
             log_id: The log that `cursor` refers to; empty when none was followed before, and then
                 a LogReset comes first.
+            mark: How much of which log the consumer's file has to do with. Ingest is told before
+                anything else: if its log is another one it says so by another identity.
         """
         self._cursor, self._log_id = cursor, log_id
+        self._mark = mark if mark is not None and mark.log_id else None
         for declared in (
             self._bus.subscribe(keyexprs.LOG_HEAD, self._on_head),
             self._bus.watch_answered(keyexprs.LOG_RANGE, self._on_ingest),
@@ -132,28 +137,34 @@ class LogFollower:
 
     def _step(self) -> bool:
         """Ask for one page and deliver it; whether the head is reached."""
+        if self._mark is not None:
+            self._ask(LogRange(self._mark.index, self._view, self._mark.log_id, self._mark.chain))
+            self._mark = None
         page = self._page()
         if self._closing:
             return True
         if page.log_id != self._log_id or self._cursor > page.head:
             logger.info("following log %s from its beginning", page.log_id)
-            self._log_id, self._cursor = page.log_id, 0
+            self._log_id, self._cursor, self._chain = page.log_id, 0, ""
             self._deliver(LogReset(page.log_id))
             return False
         if page.entries:
             self._cursor += len(page.entries)
+            self._chain = page.chain
             self._deliver(page)
         return self._cursor >= page.head
 
-    def _page(self) -> LogPage:
-        question = codec.encode(LogRange(self._cursor, self._view))
-        replies = self._bus.ask(keyexprs.LOG_RANGE, question)
+    def _ask(self, question: LogRange) -> LogPage:
+        replies = self._bus.ask(keyexprs.LOG_RANGE, codec.encode(question))
         if not replies:
             raise _NoPage("ingest does not answer")
         try:
-            page = codec.decode(replies[0], LogPage)
+            return codec.decode(replies[0], LogPage)
         except codec.MalformedMessage as error:
             raise _NoPage(str(error)) from error
+
+    def _page(self) -> LogPage:
+        page = self._ask(LogRange(self._cursor, self._view, self._log_id, self._chain))
         same_log = page.log_id == self._log_id and self._cursor <= page.head
         first = page.entries[0].log_index if page.entries else self._cursor
         if same_log and (first != self._cursor or (not page.entries and first < page.head)):

@@ -24,12 +24,14 @@ from covinz import config as configuration
 from covinz import keyexprs
 from covinz.beats import Beats
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
-from covinz.config import Config, ConfigError
+from covinz.config import Config, ConfigError, HealthConfig
 from covinz.durable import DurableFileError
+from covinz.endpoint import HealthEndpoint, Probe
 from covinz.inbox import Inbox, Stopped
+from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.niceness import give_way
-from covinz.telemetry import set_up_logging
+from covinz.telemetry import Telemetry
 from covinz.watch import Guard, Watch
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
@@ -63,6 +65,7 @@ class Context:
         inbox: Events for the owner thread; StatusRequest comes here by itself.
         machine: Clocks, chance and threads.
         watch: Where work that must not take for ever is declared.
+        telemetry: Where durations are counted.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Context:
     inbox: Inbox
     machine: Machine = THIS_MACHINE
     watch: Watch = field(default_factory=Watch)
+    telemetry: Telemetry = field(default_factory=Telemetry)
 
 
 def serve(name: str, run: Callable[[Context], None]) -> None:
@@ -90,7 +94,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     # code is ever interrupted half-way by a signal handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
     arguments = _arguments(name)
-    set_up_logging(name, instance_name(arguments.id))
+    set_up_logging(name, instance_name(arguments.id), form=arguments.log_format)
     try:
         config = configuration.load(arguments.config)
         arguments.data.mkdir(parents=True, exist_ok=True)
@@ -103,8 +107,25 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     watch, ended = Watch(), threading.Event()
     guard = Guard(watch, Beats.of_process().send, config.health.hang_s)
     guard.start()
-    instance, arm = instance_name(arguments.id), partial(_stop_on_signal, ended)
-    code = serve_on(bus, name, instance, config, arguments.data, run, arm, watch=watch)
+    telemetry = Telemetry()
+
+    def arm(inbox: Inbox, _: Bus) -> None:
+        _stop_on_signal(ended, inbox, bus)
+        ask = partial(_ask_status, inbox)
+        probe = Probe(name, ask, bus, lambda: bus.is_connected, watch, telemetry)
+        _tell_over_http(config.health, arguments.port_offset, probe)
+
+    code = serve_on(
+        bus,
+        name,
+        instance_name(arguments.id),
+        config,
+        arguments.data,
+        run,
+        arm,
+        watch=watch,
+        telemetry=telemetry,
+    )
     ended.set()
     guard.stop()
     faulthandler.dump_traceback_later(LEAVE_S, exit=True)
@@ -123,6 +144,7 @@ def serve_on(
     arm: Callable[[Inbox, Bus], object],
     machine: Machine = THIS_MACHINE,
     watch: Watch | None = None,
+    telemetry: Telemetry | None = None,
 ) -> int:
     """Run a service on a given bus; returns the exit code of its process.
 
@@ -136,8 +158,10 @@ def serve_on(
         arm: Called with inbox and bus before `run`; arranges for ``inbox.stop()``.
         machine: What the process runs on.
         watch: Looked at by somebody else; default: by nobody.
+        telemetry: The same.
     """
     watch = watch or Watch(machine.monotonic_s)
+    telemetry = telemetry or Telemetry(machine)
     owner = watch.work("the main loop", config.health.hang_s)
     with contextlib.ExitStack() as stack:
         announce = partial(_announce, stack, bus, name, instance)
@@ -148,7 +172,7 @@ def serve_on(
         stack.callback(status.close)
         arm(inbox, bus)
         try:
-            run(Context(name, instance, config, data_dir, bus, inbox, machine, watch))
+            run(Context(name, instance, config, data_dir, bus, inbox, machine, watch, telemetry))
         except Stopped:
             pass
         except BusClosed:
@@ -182,6 +206,12 @@ def _arguments(name: str) -> argparse.Namespace:
     parser.add_argument(
         "--id", metavar="NAME", default=name, help="which one of several; {host}: this machine's"
     )
+    parser.add_argument(
+        "--log-format", type=LogFormat, choices=list(LogFormat), help="[COVINZ_LOG_FORMAT or text]"
+    )
+    parser.add_argument(
+        "--port-offset", type=int, metavar="N", default=0, help="added to health.port"
+    )
     return parser.parse_args()
 
 
@@ -189,6 +219,16 @@ def _announce(stack: contextlib.ExitStack, bus: Bus, name: str, instance: str) -
     token = bus.declare_alive(keyexprs.service_alive(name, instance))
     stack.callback(token.close)
     logger.info("ready")
+
+
+def _tell_over_http(config: HealthConfig, offset: int, probe: Probe) -> None:
+    if config.port is None:
+        return
+    port = config.port + offset if config.port else 0
+    try:
+        logger.info("health and metrics at %s", HealthEndpoint(config, port, probe).url)
+    except (OSError, OverflowError) as error:  # the service matters, not what is told of it
+        logger.error("no health and metrics at %s:%d: %s", config.address, port, error)
 
 
 def _ask_status(inbox: Inbox, query: Query) -> None:

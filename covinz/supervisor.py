@@ -65,11 +65,7 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
     Raises:
         ServicesNotFound: If this covinz was installed without them.
     """
-    if not (checkout() / "services").is_dir():
-        raise ServicesNotFound(
-            "the server's services were not found: run covinz from a checkout (or the image); "
-            "a pip-installed covinz is for robots"
-        )
+    require_services()
     names = ["router", "ingest", "place_recognition", "optimizer"]
     instances = [(name, name) for name in names]
     instances += [("loop_solver", f"loop_solver-{i}") for i in range(workers)]
@@ -79,11 +75,21 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
             (
                 *(sys.executable, "-m", f"services.{service}"),
                 *("--config", str(config_file), "--data", str(data), "--id", instance),
+                *("--port-offset", str(number)),
             ),
             beats=True,
         )
-        for service, instance in instances
+        for number, (service, instance) in enumerate(instances)
     ]
+
+
+def require_services() -> None:
+    """Raise ServicesNotFound if this covinz was installed without the server's services."""
+    if not (checkout() / "services").is_dir():
+        raise ServicesNotFound(
+            "the server's services were not found: run covinz from a checkout (or the image); "
+            "a pip-installed covinz is for robots"
+        )
 
 
 def checkout() -> Path:

@@ -1,89 +1,98 @@
-"""What a process tells about itself: log lines, counters and the time that its stages take."""
+"""How long things take in a process: distributions by name, for any number of threads."""
 
 from __future__ import annotations
 
-import logging
-import os
 import threading
-import time
-from collections import defaultdict, deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import dataclass
 
-logger = logging.getLogger(__name__)
+from covinz.bus import Query
+from covinz.machine import THIS_MACHINE, Machine
 
-# Durations that the statistics of a stage are made of: the last ones.
-MAX_DURATIONS = 512
+# Upper ends of the classes that durations are counted in, both included. [s]
+BUCKETS_S = (
+    0.001,
+    0.0025,
+    0.005,
+    0.01,
+    0.025,
+    0.05,
+    0.1,
+    0.25,
+    0.5,
+    1.0,
+    2.5,
+    5.0,
+    10.0,
+    30.0,
+    60.0,
+)
 
 
-def set_up_logging(name: str, instance: str, level: str | None = None) -> None:
-    """Log one line an event to standard error, in UTC.
+@dataclass(frozen=True, slots=True)
+class Distribution:
+    """Durations seen so far.
 
-    Args:
-        name: Kind of process.
-        instance: Which one of several.
-        level: Name of the lowest level that is logged; default: ``COVINZ_LOG``, else INFO.
+    Attributes:
+        counts: How many in each class of `BUCKETS_S`, and how many were longer than all.
+        sum_s: Of all of them.
     """
-    who = instance if instance.startswith(name) else f"{name}/{instance}"
-    formatter = logging.Formatter(
-        f"%(asctime)s.%(msecs)03dZ %(levelname)-7s {who} %(name)s: %(message)s",
-        datefmt="%Y-%m-%dT%H:%M:%S",
-    )
-    formatter.converter = time.gmtime
-    handler = logging.StreamHandler()
-    handler.setFormatter(formatter)
-    level = (level or os.environ.get("COVINZ_LOG", "INFO")).upper()
-    known = logging.getLevelNamesMapping()
-    logging.basicConfig(level=known.get(level, logging.INFO), handlers=[handler], force=True)
-    if level not in known:
-        logger.warning("COVINZ_LOG=%s is not a level; using INFO", level)
+
+    counts: tuple[int, ...]
+    sum_s: float
 
 
 class Telemetry:
-    """Counters and stage times by name, for any number of threads.
+    """Counts durations by name."""
 
-    Args:
-        clock_s: Seconds, monotonic.
-    """
+    def __init__(self, machine: Machine = THIS_MACHINE) -> None:
+        self._clock_s = machine.monotonic_s
+        self._lock = threading.Lock()  # never waits for anything, also not in the simulation
+        self._counts: dict[str, list[int]] = {}
+        self._sums_s: dict[str, float] = {}
 
-    def __init__(self, clock_s: Callable[[], float] = time.perf_counter) -> None:
+    def observe(self, name: str, seconds: float) -> None:
+        """Count one duration."""
+        with self._lock:
+            counts = self._counts.setdefault(name, [0] * (len(BUCKETS_S) + 1))
+            counts[bisect_left(BUCKETS_S, seconds)] += 1
+            self._sums_s[name] = self._sums_s.get(name, 0.0) + seconds
+
+    def distributions(self) -> dict[str, Distribution]:
+        """What was seen so far, by name."""
+        with self._lock:
+            return {
+                name: Distribution(tuple(counts), self._sums_s[name])
+                for name, counts in self._counts.items()
+            }
+
+    def timed(self, name: str, callback: Callable[[Query], None]) -> Callable[[Query], None]:
+        """`callback`, whose questions are timed from their arrival to the reply."""
+
+        def receive(query: Query) -> None:
+            callback(_TimedQuery(query, name, self, self._clock_s))
+
+        return receive
+
+
+class _TimedQuery:
+    """A question that tells how long it waited when it is answered."""
+
+    def __init__(
+        self, query: Query, name: str, telemetry: Telemetry, clock_s: Callable[[], float]
+    ) -> None:
+        self.key = query.key
+        self.payload = query.payload
+        self._query = query
+        self._name = name
+        self._telemetry = telemetry
         self._clock_s = clock_s
-        self._lock = threading.Lock()
-        self._counters: defaultdict[str, float] = defaultdict(float)
-        self._durations_ms: defaultdict[str, deque[float]] = defaultdict(
-            lambda: deque(maxlen=MAX_DURATIONS)
-        )
+        self._since_s = clock_s()
 
-    def count(self, name: str, amount: float = 1.0) -> None:
-        """Add to a counter, which starts at 0."""
-        with self._lock:
-            self._counters[name] += amount
+    def reply(self, payload: bytes) -> None:
+        self._telemetry.observe(self._name, self._clock_s() - self._since_s)
+        self._query.reply(payload)
 
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time the block, whether or not it raises."""
-        began_s = self._clock_s()
-        try:
-            yield
-        finally:
-            duration_ms = 1e3 * (self._clock_s() - began_s)
-            with self._lock:
-                self._durations_ms[name].append(duration_ms)
-
-    def snapshot(self) -> dict[str, float]:
-        """For `Status.counters`: counters, and of each stage ``{name}_ms.median`` and ``.p95``."""
-        with self._lock:
-            values = dict(self._counters)
-            for name, durations_ms in self._durations_ms.items():
-                ordered = sorted(durations_ms)
-                values[f"{name}_ms.median"] = quantile(ordered, 0.5)
-                values[f"{name}_ms.p95"] = quantile(ordered, 0.95)
-        return dict(sorted(values.items()))
-
-
-def quantile(ordered: list[float], q: float) -> float:
-    """Quantile of sorted, non-empty values, linear between them."""
-    position = q * (len(ordered) - 1)
-    low = int(position)
-    high = min(low + 1, len(ordered) - 1)
-    return ordered[low] + (position - low) * (ordered[high] - ordered[low])
+    def drop(self) -> None:
+        self._query.drop()

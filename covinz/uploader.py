@@ -11,7 +11,8 @@ from covinz import codec, keyexprs
 from covinz.bus import Bus, BusClosed, MessageTooLarge
 from covinz.config import AgentConfig
 from covinz.machine import THIS_MACHINE, Machine
-from covinz.spool import Spool, SpoolError, SpoolRow
+from covinz.spool import Spool, SpoolError
+from covinz.spool_rows import SpoolRow
 from covinz.types import Duplicate, NeedCamera, Rejected, RetryAfter, Stored, UploadReply
 
 logger = logging.getLogger(__name__)
@@ -41,6 +42,10 @@ class Backoff:
         pause_s = self._next_s * self._draw.uniform(0.5, 1.0)
         self._next_s = min(2 * self._next_s, self._max_s)
         return pause_s
+
+    def asked(self, seconds: float) -> float:
+        """How long to pause when the server asked for so many [s]: up to a quarter longer."""
+        return max(seconds * self._draw.uniform(1.0, 1.25), self.failed())
 
     def reset(self) -> None:
         """The server is there."""
@@ -80,6 +85,7 @@ class Uploader:
         self._changed = machine.condition()  # guards what follows
         self._stopping = False
         self._under_way = 0
+        self._news = 0  # counts whatever may have changed what can be sent
         self._failing = False
         self._resume_at = 0.0  # no upload before this time of the monotonic clock
         self._may_hurry = True  # whether news may end the pause early
@@ -101,7 +107,7 @@ class Uploader:
         with self._changed:
             if self._may_hurry:
                 self._resume_at = 0.0
-            self._changed.notify_all()
+            self._tell()
 
     def wait_empty(self, timeout_s: float | None) -> bool:
         """Wait until the spool is empty; False when time ran out first or after `stop`."""
@@ -135,17 +141,41 @@ class Uploader:
 
     def _next(self) -> SpoolRow | None:
         """The next row to send, when it is time; None at the end."""
+        while True:
+            with self._changed:
+                if not self._wait_for_turn():
+                    return None
+                self._under_way += 1
+                known = self._news
+            row = self._take()  # may wait for the disk, so without the lock
+            if row is not None:
+                return row
+            self._wait_for_news(known)
+
+    def _wait_for_news(self, known: int) -> None:
+        """There was nothing to send when `known` was all the news: wait for more."""
         with self._changed:
-            while not self._stopping:
-                pause_s = self._resume_at - self._clock_s()
-                if pause_s > 0:
-                    self._changed.wait(pause_s)
-                elif (self._failing and self._under_way) or (row := self._take()) is None:
-                    self._changed.wait(self._config.max_backoff_s)
-                else:
-                    self._under_way += 1
-                    return row
-        return None
+            self._under_way -= 1
+            self._changed.notify_all()
+            self._changed.wait_for(
+                lambda: self._stopping or self._news != known, self._config.max_backoff_s
+            )
+
+    def _wait_for_turn(self) -> bool:
+        """Wait for the end of a pause and of somebody else's probe; False at the end."""
+        while not self._stopping:
+            pause_s = self._resume_at - self._clock_s()
+            if pause_s > 0:
+                self._changed.wait(pause_s)
+            elif self._failing and self._under_way:
+                self._changed.wait(self._config.max_backoff_s)
+            else:
+                return True
+        return False
+
+    def _tell(self) -> None:
+        self._news += 1
+        self._changed.notify_all()
 
     def _take(self) -> SpoolRow | None:
         suspects = [p for p, count in self._timeouts.items() if count >= _PATIENCE]
@@ -217,22 +247,29 @@ class Uploader:
             self._under_way -= 1
             if is_settled:
                 self._failing = False
-                self._resume_at = 0.0
+                if self._may_hurry:  # a pause that the server asked for is kept
+                    self._resume_at = 0.0
                 self._backoff.reset()
                 self._timeouts.pop(position, None)
             else:
                 self._pause(answer.seconds if isinstance(answer, RetryAfter) else 0.0)
                 if timed_out:
                     self._suspect(position)
-            self._changed.notify_all()
+                if isinstance(answer, Rejected):  # the disk did not take it: others first
+                    self._timeouts[position] = _PATIENCE
+            self._tell()
 
     def _pause(self, overload_s: float) -> None:
+        """Send nothing for a while: so long as the server asks for, or else the back-off."""
         self._failing = True
         now = self._clock_s()
-        if now < self._resume_at:  # uploads that fail together are one failure
-            return
-        self._may_hurry = overload_s == 0.0
-        self._resume_at = now + max(self._backoff.failed(), min(overload_s, _MAX_OVERLOAD_S))
+        if overload_s:
+            self._may_hurry = False
+            pause_s = self._backoff.asked(min(overload_s, _MAX_OVERLOAD_S))
+            self._resume_at = max(self._resume_at, now + pause_s)
+        elif now >= self._resume_at:  # uploads that fail together are one failure
+            self._may_hurry = True
+            self._resume_at = now + self._backoff.failed()
 
     def _suspect(self, position: int) -> None:
         self._timeouts[position] += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -93,6 +94,14 @@ class Processes:
         """The process that was started last under a name; fails when it has ended."""
         assert self._started[name].poll() is None, self.log_of(name)
         return self._started[name].pid
+
+    def freeze(self, name: str) -> None:
+        """Let a service hang: nothing of it runs until `thaw`, and its connections stay open."""
+        self._started[name].send_signal(signal.SIGSTOP)
+
+    def thaw(self, name: str) -> None:
+        """Let it go on."""
+        self._started[name].send_signal(signal.SIGCONT)
 
     def wait_ready(self, name: str) -> None:
         """Wait until a service that runs can be reached (again)."""

@@ -45,10 +45,41 @@ struct MatchTile {
   int32_t* second;
 };
 
+// Descriptors of 256 bits, nibble by nibble: nibble 8 g + n of descriptor 64 b + i is at
+// [((g * num_padded / 64 + b) * 8 + n) * 64 + i].
+struct NibbleView {
+  const uint8_t* nibbles;  // at a multiple of 64 bytes
+  size_t num_padded;       // a multiple of 64
+  const uint64_t* words;   // the same descriptors, 4 words each
+  size_t size;
+};
+inline constexpr size_t kNibbleBlock = 64;
+
+// A few descriptors, each of which looks for its nearest one.
+struct NearestTile {
+  NibbleView others;
+  size_t num_rows;  // at most kMaxTileRows
+  const uint64_t* rows[kMaxTileRows];
+  // Looked for are distances up to this, 256 at most.
+  int32_t max_distances[kMaxTileRows];
+  // A row whose nearest is at distance d has none if another is at spoilers[d] or nearer; null for
+  // no such rule.
+  const int32_t* spoilers;
+  // Of the 8 groups of 32 bits, those which make the lower bound. They decide on time alone.
+  size_t num_bound_groups;
+  uint8_t* bounds;  // room for kMaxTileRows * num_padded, at a multiple of 64 bytes
+  // Written, the indices kNoIndex where there is none.
+  int32_t distances[kMaxTileRows];
+  size_t indices[kMaxTileRows];
+  size_t num_verified;  // distances that the bounds did not save
+};
+inline constexpr size_t kNoIndex = SIZE_MAX;
+
 struct MatchKernels {
   size_t num_lanes;
   void (*hamming)(const MatchTile&);
   void (*l2)(const MatchTile&);
+  void (*nearest)(NearestTile*);  // null where `hamming` is no slower
 };
 
 // Without kernels (num_lanes 0) where the build's processor family has no such instruction set.

@@ -87,14 +87,14 @@ class SquaredDistances {
 }  // namespace
 
 const MatchKernels kAvx512MatchKernels = {COVINZ_LANES, &ScanTile<HammingDistances, 4>,
-                                          &ScanTile<SquaredDistances, 8>};
+                                          &ScanTile<SquaredDistances, 8>, nullptr};
 
 }  // namespace covinz
 
 #else
 
 namespace covinz {
-const MatchKernels kAvx512MatchKernels = {0, nullptr, nullptr};
+const MatchKernels kAvx512MatchKernels = {0, nullptr, nullptr, nullptr};
 }
 
 #endif

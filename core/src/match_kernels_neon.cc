@@ -84,14 +84,14 @@ class SquaredDistances {
 }  // namespace
 
 const MatchKernels kNeonMatchKernels = {COVINZ_LANES, &ScanTile<HammingDistances, 4>,
-                                        &ScanTile<SquaredDistances, 4>};
+                                        &ScanTile<SquaredDistances, 4>, nullptr};
 
 }  // namespace covinz
 
 #else
 
 namespace covinz {
-const MatchKernels kNeonMatchKernels = {0, nullptr, nullptr};
+const MatchKernels kNeonMatchKernels = {0, nullptr, nullptr, nullptr};
 }
 
 #endif

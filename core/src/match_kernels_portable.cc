@@ -122,6 +122,6 @@ class SquaredDistances {
 }  // namespace
 
 const MatchKernels kPortableMatchKernels = {COVINZ_LANES, &ScanTile<HammingDistances, 2>,
-                                            &ScanTile<SquaredDistances, 4>};
+                                            &ScanTile<SquaredDistances, 4>, nullptr};
 
 }  // namespace covinz

@@ -19,6 +19,19 @@ COVINZ_INLINE UnsignedLanes MultiplyAddHalves(UnsignedLanes a, UnsignedLanes b) 
 // Word by word: on 128 bits POPCNT beats looking bytes up.
 COVINZ_INLINE uint64_t PopCount(uint64_t x) { return static_cast<uint64_t>(_mm_popcnt_u64(x)); }
 
+COVINZ_INLINE ByteLanes LookUp(ByteLanes table, ByteLanes indices) {
+  return reinterpret_cast<ByteLanes>(
+      _mm_shuffle_epi8(reinterpret_cast<__m128i>(table), reinterpret_cast<__m128i>(indices)));
+}
+
+COVINZ_INLINE ByteLanes BroadcastTable(const uint8_t table[16]) { return Load<ByteLanes>(table); }
+
+COVINZ_INLINE uint64_t LanesUpTo(ByteLanes x, uint8_t most) {
+  const __m128i bytes = reinterpret_cast<__m128i>(x);
+  const __m128i least = _mm_min_epu8(bytes, _mm_set1_epi8(static_cast<char>(most)));
+  return static_cast<uint32_t>(_mm_movemask_epi8(_mm_cmpeq_epi8(least, bytes)));
+}
+
 COVINZ_INLINE Lanes ToLanes(const uint64_t bits[COVINZ_LANES]) {
   return reinterpret_cast<Lanes>(_mm_set_epi64x(static_cast<int64_t>(bits[3] << 32 | bits[2]),
                                                 static_cast<int64_t>(bits[1] << 32 | bits[0])));
@@ -52,59 +65,22 @@ class HammingDistances {
   int key_shift_;
 };
 
-// Of 256 bits, the row in registers.
-template <size_t kRows>
-class ShortHammingDistances {
- public:
-  ShortHammingDistances(const MatchTile& tile, size_t row)
-      : cand_(tile.cand.words), key_shift_(tile.key_shift) {
-    static_assert(kRows == 1, "one row fills the registers");
-    for (size_t w = 0; w < kWords; ++w) row_[w] = tile.query.words[kWords * row + w];
-  }
-
-  __attribute__((always_inline)) void Keys(size_t cand, Lanes* keys) const {
-    const uint64_t* c = cand_ + kWords * cand;
-    const uint64_t bits[COVINZ_LANES] = {Distance(c), Distance(c + kWords),
-                                         Distance(c + 2 * kWords), Distance(c + 3 * kWords)};
-    keys[0] = ToLanes(bits) << key_shift_;
-  }
-
- private:
-  static constexpr size_t kWords = kStepGroups / 2;
-
-  __attribute__((always_inline)) uint64_t Distance(const uint64_t* c) const {
-    return (PopCount(row_[0] ^ c[0]) + PopCount(row_[1] ^ c[1])) +
-           (PopCount(row_[2] ^ c[2]) + PopCount(row_[3] ^ c[3]));
-  }
-
-  const uint64_t* cand_;
-  int key_shift_;
-  uint64_t row_[kWords];
-};
-
-void ScanHamming(const MatchTile& tile) {
-  if (tile.cand.num_groups == kStepGroups) {
-    ScanTile<ShortHammingDistances, 1>(tile);
-  } else {
-    ScanTile<HammingDistances, 1>(tile);
-  }
-}
-
 }  // namespace
 }  // namespace covinz
 
 // Built on the functions above.
 #include "match_dot_products_x86.h"
+#include "match_lookups.h"
 
 namespace covinz {
-const MatchKernels kSse42MatchKernels = {COVINZ_LANES, &ScanHamming,
-                                         &ScanTile<SquaredDistances, 4>};
+const MatchKernels kSse42MatchKernels = {COVINZ_LANES, &ScanTile<HammingDistances, 1>,
+                                         &ScanTile<SquaredDistances, 4>, &FindNearest};
 }
 
 #else
 
 namespace covinz {
-const MatchKernels kSse42MatchKernels = {0, nullptr, nullptr};
+const MatchKernels kSse42MatchKernels = {0, nullptr, nullptr, nullptr};
 }
 
 #endif

@@ -18,6 +18,7 @@ constexpr size_t kMaxGroups = 256;  // PackedDescriptors::kMaxBytes / 4
 // A vector of COVINZ_LANES keys or groups.
 typedef int32_t Lanes __attribute__((vector_size(4 * COVINZ_LANES)));
 typedef uint32_t UnsignedLanes __attribute__((vector_size(4 * COVINZ_LANES)));
+typedef uint8_t ByteLanes __attribute__((vector_size(4 * COVINZ_LANES)));
 
 COVINZ_INLINE Lanes Min(Lanes a, Lanes b) { return a < b ? a : b; }
 COVINZ_INLINE Lanes Max(Lanes a, Lanes b) { return a > b ? a : b; }

@@ -152,6 +152,43 @@ std::vector<std::vector<int>> Union(const std::vector<std::vector<int>>& a,
   return both;
 }
 
+// Refines a trial that leads to a new optimum which might decide, and adds it.
+void Follow(const LoopProblem& problem,
+            const RigSolution& trial,
+            const FastLoopOptions& options,
+            Solutions& contenders) {
+  if (IsKnown(trial, contenders, options) || IsHopeless(problem, contenders[0], trial, options)) {
+    return;
+  }
+  Insert(RefineToTheEnd(problem, trial, options), options, contenders);
+}
+
+// Drops contenders that are clearly behind the best one or in one valley with it.
+Solutions MergeValley(const LoopProblem& problem,
+                      const Solutions& contenders,
+                      const FastLoopOptions& options) {
+  const Matrix6d covariance = CovarianceOf(problem, contenders[0], options);
+  Solutions kept = {contenders[0]};
+  for (size_t i = 1; i < contenders.size(); ++i) {
+    const RigSolution& other = contenders[i];
+    if (Significance(problem.matched.rigs, contenders[0].score, other.score, options.selection) >=
+        options.selection.min_significance) {
+      continue;
+    }
+    // Over the inliers of both a solution in one valley with the best one ends where that does. A
+    // second optimum may do so too, drawn by the other's inliers: then it stays a rival.
+    RigSolution merged = RefineToTheEnd(
+        problem, other.Poses(), Union(contenders[0].score.inliers, other.score.inliers), options);
+    const bool is_drawn = !AreDistinct(merged.refinement.T_cand_query,
+                                       contenders[0].refinement.T_cand_query, options.selection) &&
+                          !AllowsFor(covariance, contenders[0], other, options);
+    Insert(std::move(merged), options, kept);
+    if (is_drawn) Insert(other, options, kept);
+    if (FindRival(problem, kept, options)) break;
+  }
+  return kept;
+}
+
 }  // namespace
 
 // The best of the trial solutions and those that it is not clearly ahead of, refined to the end,
@@ -197,41 +234,26 @@ std::optional<Rival> FindRival(const LoopProblem& problem,
 std::vector<RigSolution> SearchOn(const LoopProblem& problem,
                                   std::vector<RigSolution> contenders,
                                   const FastLoopOptions& options) {
-  const auto follow = [&](const RigSolution& trial) {
-    if (IsKnown(trial, contenders, options) || IsHopeless(problem, contenders[0], trial, options)) {
-      return;
+  const auto settle = [&] {
+    for (const RigPoses& start : AlongTheValley(problem, contenders[0], options)) {
+      Follow(problem, RefineTrial(problem, contenders[0].score.inliers, start, options), options,
+             contenders);
     }
-    Insert(RefineToTheEnd(problem, trial, options), options, contenders);
+    return MergeValley(problem, contenders, options);
   };
+  Solutions kept = settle();
+  if (kept[0].score.num_inliers < options.min_num_inliers || FindRival(problem, kept, options)) {
+    return kept;
+  }
   const std::vector<RigHypothesis> hypotheses = SampleOn(problem, options);
   const size_t num_refined =
       std::min(hypotheses.size(), static_cast<size_t>(options.max_num_refined));
   for (size_t i = 0; i < num_refined; ++i) {
     const RigHypothesis& hypothesis = hypotheses[i];
-    follow(RefineTrial(problem, hypothesis.inliers, hypothesis.T_cand_query, options));
+    Follow(problem, RefineTrial(problem, hypothesis.inliers, hypothesis.T_cand_query, options),
+           options, contenders);
   }
-  for (const RigPoses& start : AlongTheValley(problem, contenders[0], options)) {
-    follow(RefineTrial(problem, contenders[0].score.inliers, start, options));
-  }
-  const Matrix6d covariance = CovarianceOf(problem, contenders[0], options);
-  Solutions kept = {contenders[0]};
-  for (size_t i = 1; i < contenders.size(); ++i) {
-    const RigSolution& other = contenders[i];
-    if (Significance(problem.matched.rigs, contenders[0].score, other.score, options.selection) >=
-        options.selection.min_significance) {
-      continue;
-    }
-    // Over the inliers of both a solution in one valley with the best one ends where that does. A
-    // second optimum may do so too, drawn by the other's inliers: then it stays a rival.
-    RigSolution merged = RefineToTheEnd(
-        problem, other.Poses(), Union(contenders[0].score.inliers, other.score.inliers), options);
-    const bool is_drawn = !AreDistinct(merged.refinement.T_cand_query,
-                                       contenders[0].refinement.T_cand_query, options.selection) &&
-                          !AllowsFor(covariance, contenders[0], other, options);
-    Insert(std::move(merged), options, kept);
-    if (is_drawn) Insert(other, options, kept);
-  }
-  return kept;
+  return settle();
 }
 
 }  // namespace covinz

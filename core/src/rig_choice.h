@@ -23,9 +23,11 @@ std::optional<Rival> FindRival(const LoopProblem& problem,
                                const std::vector<RigSolution>& contenders,
                                const FastLoopOptions& options);
 
-// Where the first choice is not clear: every hypothesis of a sampling that does not stop early is
-// refined to the end, then the best solution is left along the direction that it determines least,
-// and contenders that the other's matches pull into the best one are dropped.
+// Where the first choice is not clear: the best solution is left along the direction that it
+// determines least, and contenders that the other's matches pull into the best one are dropped.
+// What then is ambiguous, or has too few inliers, stays so: the search ends with the first rival
+// found. Otherwise every hypothesis of a sampling that does not stop early is refined, and the test
+// made again.
 std::vector<RigSolution> SearchOn(const LoopProblem& problem,
                                   std::vector<RigSolution> contenders,
                                   const FastLoopOptions& options);

@@ -3,9 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <stdexcept>
 #include <string>
 
+#include "filtered_matching.h"
 #include "match_kernels.h"
 
 namespace covinz {
@@ -166,21 +168,24 @@ bool IsMatch(const TwoNearest& found, const MatchingOptions& options) {
   return found.second != kNone && best < options.max_ratio * AsDouble(found.second, options.norm);
 }
 
-}  // namespace
+// An image, and its nibbles where the kernels ask for them.
+struct Prepared {
+  const PackedDescriptors* packed;
+  std::optional<NibbledDescriptors> nibbles;
+};
 
-std::vector<Match> MatchPacked(const PackedDescriptors& query,
-                               const PackedDescriptors& cand,
-                               const MatchingOptions& options,
-                               InstructionSet instruction_set) {
-  options.Check();
-  const MatchKernels& kernels = KernelsFor(instruction_set);
-  if (query.size() == 0 || cand.size() == 0) return {};
-  if (query.num_bytes() != cand.num_bytes()) {
-    throw std::invalid_argument(
-        "descriptors differ in length: " + std::to_string(query.num_bytes()) + " and " +
-        std::to_string(cand.num_bytes()) + " bytes");
-  }
-  if (query.num_bytes() == 0) return {};
+Prepared Prepare(const PackedDescriptors& packed,
+                 const MatchingOptions& options,
+                 const MatchKernels& kernels) {
+  const bool filtered = options.norm == DescriptorNorm::kHamming && kernels.nearest != nullptr &&
+                        packed.num_groups() == PackedDescriptors::kStepBytes / sizeof(uint32_t);
+  return {&packed, filtered ? std::make_optional<NibbledDescriptors>(packed) : std::nullopt};
+}
+
+std::vector<Match> MatchScanned(const PackedDescriptors& query,
+                                const PackedDescriptors& cand,
+                                const MatchingOptions& options,
+                                const MatchKernels& kernels) {
   const Neighbours neighbours = PairScan(query, cand, options.norm, kernels).Run();
   std::vector<Match> matches;
   for (size_t q = 0; q < query.size(); ++q) {
@@ -193,14 +198,49 @@ std::vector<Match> MatchPacked(const PackedDescriptors& query,
   return matches;
 }
 
+std::vector<Match> MatchPrepared(const Prepared& query,
+                                 const Prepared& cand,
+                                 const MatchingOptions& options,
+                                 const MatchKernels& kernels) {
+  const PackedDescriptors& q = *query.packed;
+  const PackedDescriptors& c = *cand.packed;
+  if (q.size() == 0 || c.size() == 0) return {};
+  if (q.num_bytes() != c.num_bytes()) {
+    throw std::invalid_argument("descriptors differ in length: " + std::to_string(q.num_bytes()) +
+                                " and " + std::to_string(c.num_bytes()) + " bytes");
+  }
+  if (q.num_bytes() == 0) return {};
+  if (query.nibbles && cand.nibbles) {
+    return MatchFiltered(*query.nibbles, *cand.nibbles, options, kernels.nearest);
+  }
+  return MatchScanned(q, c, options, kernels);
+}
+
+}  // namespace
+
+std::vector<Match> MatchPacked(const PackedDescriptors& query,
+                               const PackedDescriptors& cand,
+                               const MatchingOptions& options,
+                               InstructionSet instruction_set) {
+  options.Check();
+  const MatchKernels& kernels = KernelsFor(instruction_set);
+  return MatchPrepared(Prepare(query, options, kernels), Prepare(cand, options, kernels), options,
+                       kernels);
+}
+
 std::vector<std::vector<Match>> MatchRigs(const std::vector<PackedDescriptors>& query,
                                           const std::vector<PackedDescriptors>& cand,
                                           const MatchingOptions& options,
                                           InstructionSet instruction_set) {
+  options.Check();
+  const MatchKernels& kernels = KernelsFor(instruction_set);
+  std::vector<Prepared> prepared;
+  for (const PackedDescriptors& c : cand) prepared.push_back(Prepare(c, options, kernels));
   std::vector<std::vector<Match>> matches;
-  for (const PackedDescriptors& q : query) {
-    for (const PackedDescriptors& c : cand) {
-      matches.push_back(MatchPacked(q, c, options, instruction_set));
+  for (const PackedDescriptors& packed : query) {
+    const Prepared q = Prepare(packed, options, kernels);
+    for (const Prepared& c : prepared) {
+      matches.push_back(MatchPrepared(q, c, options, kernels));
     }
   }
   return matches;

@@ -23,6 +23,7 @@ class LinkReport:
 
     def __init__(self, config: BusConfig) -> None:
         self._config = config
+        self.is_there = False  # the router, as far as is known
         self._changes: queue.SimpleQueue[bool | None] = queue.SimpleQueue()
 
     def follow(self, session: zenoh.Session) -> None:
@@ -36,6 +37,7 @@ class LinkReport:
             zenoh.handlers.Callback(changed, indirect=False)
         )
         is_there, said = True, False
+        self.is_there = True
         while True:
             try:
                 change = self._changes.get(timeout=None if is_there or said else _PATIENCE_S)
@@ -46,7 +48,7 @@ class LinkReport:
             if change is None:
                 del listener
                 return
-            is_there = change
+            self.is_there = is_there = change
             if is_there and said:
                 logger.warning("connected to %s again", self._config.endpoint)
                 said = False

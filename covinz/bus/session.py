@@ -29,6 +29,8 @@ _MAX_RETRY_S = 1.0
 _CLOSE_S = 1.0
 # A session closes in milliseconds, or never: its router may have vanished. [s]
 _SESSION_CLOSE_S = 2.0
+# Messages that wait for one callback.
+_MAX_WAITING = 4096
 
 
 class _ZenohQuery:
@@ -134,6 +136,11 @@ class ZenohBus:
     def wait_connected(self, timeout_s: float | None = None) -> bool:
         """Wait for the first connection to the router; False when time ran out first."""
         return self._connected.wait(timeout_s)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether there is a router now, as far as Zenoh knows: a silent one is given up late."""
+        return self._link.is_there
 
     def put(self, key: str, payload: bytes) -> None:
         """See `Bus.put`."""
@@ -343,6 +350,8 @@ def _from_own_thread(callback: Callable[[Any], None]) -> Any:
     """A handler that calls `callback` from a thread of its own, which ends with the declaration.
 
     Zenoh's own threads for callbacks keep a process that forgot to close its bus from ending.
+    Callbacks do not block; what comes while one does is dropped beyond `_MAX_WAITING`, so that a
+    query ends and its sender asks again.
     """
     arguments: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
@@ -353,8 +362,14 @@ def _from_own_thread(callback: Callable[[Any], None]) -> Any:
             except Exception:
                 logger.exception("a bus callback failed")
 
+    def arrive(argument: Any) -> None:
+        if arguments.qsize() < _MAX_WAITING:
+            arguments.put(argument)
+        else:
+            logger.error("a message is dropped: a bus callback has blocked for too long")
+
     threading.Thread(target=call, name="bus-callback", daemon=True).start()
-    return zenoh.handlers.Callback(arguments.put, lambda: arguments.put(None), indirect=False)
+    return zenoh.handlers.Callback(arrive, lambda: arguments.put(None), indirect=False)
 
 
 def _encoding(payload: bytes) -> zenoh.Encoding:

@@ -51,7 +51,7 @@ class _Form:
 
 def _page_fields(page: LogPage) -> Fields:
     entries = [(entry.log_index, encode(entry.item)) for entry in page.entries]
-    return log.log_page_fields(page.log_id, page.head, entries)
+    return log.log_page_fields(page.log_id, page.head, entries, page.chain)
 
 
 def _page(fields: Fields) -> LogPage:
@@ -123,18 +123,21 @@ def decode_upload_reply(payload: bytes) -> UploadReply:
     return cast(UploadReply, _decode(payload, _REPLY))
 
 
-def encode_log_page(log_id: str, head: int, entries: Sequence[tuple[int, bytes]]) -> bytes:
+def encode_log_page(
+    log_id: str, head: int, entries: Sequence[tuple[int, bytes]], chain: str = ""
+) -> bytes:
     """Write a LogPage around keyframes and gaps that are encoded already.
 
     Args:
         log_id: ULID of the log.
         head: Number of entries in the log.
         entries: (log_index, encoded message), consecutive; the messages are taken as they are.
+        chain: Hash over the log up to the last entry; empty when unknown.
 
     Raises:
         ValueError: If the indices are not consecutive or beyond the head.
     """
-    return write("LogPage", log.log_page_fields(log_id, head, entries))
+    return write("LogPage", log.log_page_fields(log_id, head, entries, chain))
 
 
 def schema_name(payload: bytes) -> str:

@@ -17,14 +17,24 @@ _VIEW_OF_WIRE: Final = {name: view for view, name in _WIRE_VIEW.items()}
 
 def log_range_fields(wanted: LogRange) -> Fields:
     """Fields of a LogRange."""
-    return {"start": values.whole(wanted.start, "start"), "view": _WIRE_VIEW[wanted.view]}
+    return {
+        "start": values.whole(wanted.start, "start"),
+        "view": _WIRE_VIEW[wanted.view],
+        "log_id": values.maybe_log_id(wanted.log_id),
+        "chain": values.maybe_chain(wanted.chain),
+    }
 
 
 def log_range(fields: Fields) -> LogRange:
     """The inverse of `log_range_fields`."""
     if fields["view"] is None:
         raise ValueError("view is missing")
-    return LogRange(values.whole(fields["start"], "start"), _VIEW_OF_WIRE[fields["view"]])
+    return LogRange(
+        values.whole(fields["start"], "start"),
+        _VIEW_OF_WIRE[fields["view"]],
+        values.maybe_log_id(fields["log_id"]) or "",
+        values.maybe_chain(fields["chain"]) or "",
+    )
 
 
 def log_head_fields(head: LogHead) -> Fields:
@@ -37,7 +47,9 @@ def log_head(fields: Fields) -> LogHead:
     return LogHead(values.ulid(fields["log_id"], "log_id"), values.whole(fields["head"], "head"))
 
 
-def log_page_fields(log_id: str, head: int, entries: Sequence[tuple[int, bytes]]) -> Fields:
+def log_page_fields(
+    log_id: str, head: int, entries: Sequence[tuple[int, bytes]], chain: str
+) -> Fields:
     """Fields of a LogPage of (log_index, encoded keyframe or gap) in consecutive order."""
     first = entries[0][0] if entries else None
     for position, (log_index, _) in enumerate(entries):
@@ -50,6 +62,7 @@ def log_page_fields(log_id: str, head: int, entries: Sequence[tuple[int, bytes]]
         "first": None if first is None else values.whole(first, "first"),
         "ends": ends,
         "messages": b"".join(payload for _, payload in entries),
+        "chain": values.maybe_chain(chain),
     }
 
 
@@ -70,6 +83,7 @@ def log_page(fields: Fields, decode_entry: Callable[[bytes], Keyframe | Gap]) ->
             _entry(first + position, messages[start:end], decode_entry)
             for position, (start, end) in enumerate(spans)
         ),
+        chain=values.maybe_chain(fields["chain"]) or "",
     )
 
 

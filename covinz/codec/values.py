@@ -25,6 +25,7 @@ JOB_ID = re.compile(r"[0-9a-f]{32}")
 CODE = re.compile(r"[a-z][a-z0-9_]{0,63}")
 # One part of a Zenoh key expression.
 INSTANCE = re.compile(r"[^/*$?#\s\x00-\x1f]{1,128}")
+_CHAIN: Final = re.compile(r"[0-9a-f]{32}")
 
 
 def whole(value: Any, name: str, low: int = 0, high: int = MAX_INT) -> int:
@@ -41,6 +42,11 @@ def whole(value: Any, name: str, low: int = 0, high: int = MAX_INT) -> int:
 def maybe_log_id(value: str | None) -> str | None:
     """A ULID; None when nobody said which log it is."""
     return text(value, "log_id", re.compile(ULID_PATTERN)) if value else None
+
+
+def maybe_chain(value: str | None) -> str | None:
+    """A hash over a log; None when unknown."""
+    return text(value, "chain", _CHAIN) if value else None
 
 
 def finite(value: Any, name: str, low: float = -math.inf) -> float:

@@ -24,7 +24,7 @@ from covinz.types.keyframe import (
     Keyframe,
     KeyframeContent,
 )
-from covinz.types.log import LogEntry, LogHead, LogPage, LogRange, LogView
+from covinz.types.log import LogEntry, LogHead, LogMark, LogPage, LogRange, LogView
 from covinz.types.loop import (
     JobDone,
     JobPage,
@@ -68,6 +68,7 @@ __all__ = [
     "LeaseRequest",
     "LogEntry",
     "LogHead",
+    "LogMark",
     "LogPage",
     "LogRange",
     "LogView",

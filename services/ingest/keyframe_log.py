@@ -5,7 +5,6 @@ One thread owns it and commits uploads in groups; `log_reader` reads it from ano
 
 from __future__ import annotations
 
-import hashlib
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,14 +18,42 @@ from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import Camera, Duplicate, Gap, Keyframe, Rejected, Stored
 from covinz.ulid import new_ulid
 from services.ingest.admission import AdmittedCamera, AdmittedUpload, Code
+from services.ingest.history import NO_CHAIN, chain_at, chained, digest_of
+from services.ingest.retained import Retained
+
+# What version 1 did not have.
+_SINCE_2 = """
+    -- Hash over all entries up to and with this one: equal chains mean equal histories.
+    CREATE TABLE chain (log_index INTEGER PRIMARY KEY, value BLOB NOT NULL);
+    CREATE TABLE retention (
+        only INTEGER PRIMARY KEY CHECK (only = 0),
+        features_from INTEGER NOT NULL,  -- entries before have no features any more
+        running_s REAL NOT NULL          -- how long ingest ran in all, while ages counted
+    );
+    INSERT INTO retention VALUES (0, 0, 0.0);
+    -- At `running_s` the log had `head` entries.
+    CREATE TABLE age (head INTEGER PRIMARY KEY, running_s REAL NOT NULL);
+"""
+
+
+def _upgrade_1(db: sqlite3.Connection) -> None:
+    for statement in _SINCE_2.split(";\n"):
+        db.execute(statement)
+    chain = NO_CHAIN
+    for log_index, digest in db.execute("SELECT log_index, digest FROM entry ORDER BY log_index"):
+        chain = chained(chain, digest)
+        db.execute("INSERT INTO chain VALUES (?, ?)", (log_index, chain))
+
 
 # Big columns come last: SQLite reads a row only as far as it must, so a scan of the poses does
-# not touch the features.
+# not touch the features. Without features the payload is the pose.
 LOG_FILE = FileKind(
     name="keyframe log",
     application_id=b"cvzL",
-    version=1,
-    schema="""
+    version=2,
+    upgrades=(_upgrade_1,),
+    schema=_SINCE_2
+    + """
     CREATE TABLE identity (log_id TEXT NOT NULL);
     CREATE TABLE entry (
         log_index INTEGER PRIMARY KEY,
@@ -79,6 +106,8 @@ class KeyframeLog:
         try:
             self.log_id = self._identity()
             self._head = _count(self._file.db)
+            self._chain = self._stored_chain(self._head)
+            self.retained = Retained(self._file)
             self._cameras = dict(self._stored_cameras())
         except (sqlite3.Error, codec.MalformedMessage) as error:
             self._file.close()
@@ -108,19 +137,39 @@ class KeyframeLog:
         try:
             with self._file.transaction() as db:
                 head = _count(db)
+                chain = self._chain if head == self._head else self._stored_chain(head)
                 for record in batch:
                     if isinstance(record, AdmittedCamera):
                         answers.append(_put_camera(db, record))
-                    else:
-                        answers.append(_put_entry(db, head, record))
-                        head += isinstance(answers[-1], Stored)
+                        continue
+                    digest = digest_of(record.payload)
+                    answers.append(_put_entry(db, head, record, digest))
+                    if isinstance(answers[-1], Stored):
+                        chain = chained(chain, digest)
+                        db.execute("INSERT INTO chain VALUES (?, ?)", (head, chain))
+                        head += 1
         except sqlite3.Error as error:
             raise LogUnavailable(self._file.path, error) from error
-        self._head = head
+        self._head, self._chain = head, chain
         for record in batch:
             if isinstance(record, AdmittedCamera):
                 self._cameras[record.camera.hash] = record.camera
         return answers
+
+    def begin_history(self) -> str:
+        """Become another log, whose readers begin anew; returns the new identity.
+
+        Raises:
+            LogUnavailable: If it could not be stored.
+        """
+        log_id = new_ulid(self._machine)
+        try:
+            with self._file.transaction() as db:
+                db.execute("UPDATE identity SET log_id = ?", (log_id,))
+        except sqlite3.Error as error:
+            raise LogUnavailable(self._file.path, error) from error
+        self.log_id = log_id
+        return log_id
 
     def totals(self) -> dict[str, AgentTotals]:
         """What the log holds of each agent."""
@@ -146,6 +195,12 @@ class KeyframeLog:
                 db.execute("INSERT INTO identity VALUES (?)", row)
         return str(row[0])
 
+    def _stored_chain(self, head: int) -> bytes:
+        chain = chain_at(self._file.db, head)
+        if chain is None:
+            raise sqlite3.DatabaseError(f"no hash of the first {head} entries")
+        return chain
+
     def _stored_cameras(self) -> Iterator[tuple[str, Camera]]:
         for name, payload in self._file.db.execute("SELECT hash, payload FROM camera"):
             yield name, codec.decode(payload, Camera)
@@ -156,10 +211,9 @@ def _count(db: sqlite3.Connection) -> int:
 
 
 def _put_entry(
-    db: sqlite3.Connection, log_index: int, record: AdmittedUpload
+    db: sqlite3.Connection, log_index: int, record: AdmittedUpload, digest: bytes
 ) -> Stored | Duplicate | Rejected:
     name, last_seq = _name(record.item)
-    digest = hashlib.blake2b(record.payload, digest_size=16).digest()
     row = db.execute(
         "SELECT digest FROM entry WHERE agent = ? AND session = ? AND is_gap = ? AND first_seq = ?",
         name,

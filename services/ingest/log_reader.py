@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sqlite3
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 from covinz import codec, keyexprs
@@ -12,18 +13,24 @@ from covinz.bus import Bus, Query
 from covinz.durable import open_reader
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import KeyframeId, LogRange, LogView
+from services.ingest.history import chain_at, digest_of
 
 logger = logging.getLogger(__name__)
 
 # SQL per view, so that the column is never text from outside.
 _RANGE = {
     LogView.POSE: "SELECT log_index, pose FROM entry WHERE log_index >= ? ORDER BY log_index",
-    LogView.FULL: "SELECT log_index, payload FROM entry WHERE log_index >= ? ORDER BY log_index",
+    LogView.FULL: "SELECT log_index, digest, pose, payload FROM entry WHERE log_index >= ?"
+    " ORDER BY log_index",
 }
 # Larger numbers do not fit in a column of SQLite; no entry has them.
 _MAX_INTEGER = 2**63 - 1
 # Questions that wait for their turn; later ones go unanswered and are asked again.
 _MAX_WAITING = 64
+
+
+class OtherHistory(Exception):
+    """Who asks has followed a log with this identity and other entries, or more of them."""
 
 
 class LogReader:
@@ -39,49 +46,80 @@ class LogReader:
 
     def __init__(self, path: Path, page_bytes: int) -> None:
         self._page_bytes = page_bytes
+        self._path = path
+        self._damaged: set[int] = set()
         self._db = open_reader(path)
-        (self._log_id,) = self._db.execute("SELECT log_id FROM identity").fetchone()
 
     def page(self, asked: LogRange) -> bytes:
-        """The LogPage message that answers `asked`; empty only at the head."""
-        self._db.execute("BEGIN")  # head and entries of one moment
+        """The LogPage message that answers `asked`; empty only at the head.
+
+        Raises:
+            OtherHistory: If the asker has followed another history under the log's identity.
+        """
+        db, start = self._db, min(asked.start, _MAX_INTEGER)
+        db.execute("BEGIN")  # everything of one moment
         try:
-            (head,) = self._db.execute(
-                "SELECT COALESCE(MAX(log_index) + 1, 0) FROM entry"
-            ).fetchone()
-            entries: list[tuple[int, bytes]] = []
-            size = 0
-            start = min(asked.start, _MAX_INTEGER)
-            for log_index, payload in self._db.execute(_RANGE[asked.view], (start,)):
-                size += len(payload)
-                if entries and size > self._page_bytes:
-                    break
-                entries.append((log_index, payload))
+            (log_id,) = db.execute("SELECT log_id FROM identity").fetchone()
+            (head,) = db.execute("SELECT COALESCE(MAX(log_index) + 1, 0) FROM entry").fetchone()
+            known = chain_at(db, start)
+            if asked.log_id == log_id and (known is None or asked.chain not in ("", known.hex())):
+                raise OtherHistory(log_id)
+            entries = self._entries(start, asked.view)
+            chain = chain_at(db, start + len(entries))
         finally:
-            self._db.execute("ROLLBACK")
-        return codec.encode_log_page(self._log_id, head, entries)
+            db.execute("ROLLBACK")
+        return codec.encode_log_page(log_id, head, entries, chain.hex() if chain else "")
 
     def keyframe(self, keyframe_id: KeyframeId) -> bytes | None:
-        """The Keyframe message as it was uploaded; None when the log has none."""
+        """The Keyframe message as it was uploaded; None when the log has none.
+
+        Without features when they were dropped.
+        """
         if keyframe_id.seq > _MAX_INTEGER:
             return None
-        return self._one(
-            "SELECT payload FROM entry"
+        row = self._db.execute(
+            "SELECT log_index, digest, pose, payload FROM entry"
             " WHERE agent = ? AND session = ? AND is_gap = 0 AND first_seq = ?",
             (keyframe_id.agent, keyframe_id.session, keyframe_id.seq),
-        )
+        ).fetchone()
+        return None if row is None else self._checked(*row)
 
     def camera(self, camera_hash: str) -> bytes | None:
         """The Camera message as it was registered; None when there is none."""
-        return self._one("SELECT payload FROM camera WHERE hash = ?", (camera_hash,))
+        row = self._db.execute(
+            "SELECT payload FROM camera WHERE hash = ?", (camera_hash,)
+        ).fetchone()
+        return None if row is None else bytes(row[0])
 
     def close(self) -> None:
         """Close the connection."""
         self._db.close()
 
-    def _one(self, sql: str, values: tuple[str | int, ...]) -> bytes | None:
-        row: tuple[bytes] | None = self._db.execute(sql, values).fetchone()
-        return row[0] if row is not None else None
+    def _entries(self, start: int, view: LogView) -> list[tuple[int, bytes]]:
+        """As many entries from `start` on as fit into a page; at least one, if there is one."""
+        entries: list[tuple[int, bytes]] = []
+        size = 0
+        for log_index, *columns in self._db.execute(_RANGE[view], (start,)):
+            payload = columns[0] if view is LogView.POSE else self._checked(log_index, *columns)
+            size += len(payload)
+            if entries and size > self._page_bytes:
+                break
+            entries.append((log_index, payload))
+        return entries
+
+    def _checked(self, log_index: int, digest: bytes, pose: bytes, payload: bytes) -> bytes:
+        """The payload, if it is what was uploaded; else what is left: the pose."""
+        if payload == pose or digest_of(payload) == digest:
+            return payload
+        if log_index not in self._damaged:
+            self._damaged.add(log_index)
+            logger.error(
+                "%s is damaged: the features of entry %d are lost. Restore a backup "
+                "(covinz restore)",
+                self._path,
+                log_index,
+            )
+        return pose
 
 
 class LogReads:
@@ -89,10 +127,24 @@ class LogReads:
 
     An unknown keyframe or camera is answered by an empty message; a question that makes no sense,
     or that comes when too many wait, gets no answer at all.
+
+    Args:
+        bus: Where they are asked.
+        reader: What they are answered from.
+        on_other_history: Called with the log's identity when somebody has followed another log
+            under it; who asked is not answered, and asks again.
+        machine: For the thread.
     """
 
-    def __init__(self, bus: Bus, reader: LogReader, machine: Machine = THIS_MACHINE) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        reader: LogReader,
+        on_other_history: Callable[[str], object],
+        machine: Machine = THIS_MACHINE,
+    ) -> None:
         self._reader = reader
+        self._on_other_history = on_other_history
         self._changed = machine.condition()  # guards what follows
         self._waiting: deque[Query] = deque()
         self._closing = False
@@ -127,6 +179,9 @@ class LogReads:
         while (query := self._next()) is not None:
             try:
                 query.reply(self._answer(query) or b"")
+            except OtherHistory as error:
+                self._on_other_history(str(error))
+                query.drop()
             except (ValueError, sqlite3.Error) as error:
                 logger.warning("no answer to %s: %s", query.key, error)
                 query.drop()

@@ -6,14 +6,17 @@ import logging
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus
 from covinz.config import IngestConfig
+from covinz.logs import about
 from covinz.machine import Machine
-from covinz.service import Context, StatusRequest
+from covinz.service import Context, Inbox, StatusRequest
 from covinz.types import (
     Duplicate,
     Gap,
@@ -36,12 +39,20 @@ from services.ingest.admission import (
 from services.ingest.intake import Intake, Upload
 from services.ingest.keyframe_log import KeyframeLog, LogUnavailable
 from services.ingest.log_reader import LogReader, LogReads
+from services.ingest.retention import Retention
 from services.ingest.trouble import StoreTrouble
 
 logger = logging.getLogger(__name__)
 
 # Agents and codes whose first rejection is logged as a warning.
 _MAX_COMPLAINTS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class OtherHistoryKnown:
+    """Somebody has followed a log with this identity, and it was not this one."""
+
+    log_id: str
 
 
 class OpenLog(Protocol):
@@ -67,17 +78,26 @@ def run(context: Context, open_log: OpenLog = KeyframeLog) -> None:
     with ExitStack() as stack:
         log = stack.enter_context(closing(open_log(path, machine=context.machine)))
         reader = stack.enter_context(closing(LogReader(path, config.page_bytes)))
-        stack.enter_context(closing(LogReads(context.bus, reader, context.machine)))
+        reads = LogReads(context.bus, reader, partial(_other, context.inbox), context.machine)
+        stack.enter_context(closing(reads))
         ingest = Ingest(log, intake, context.bus, config, context.instance)
+        clock_s = context.machine.monotonic_s
+        retention = Retention(log.retained, lambda: log.head, config, clock_s)
         for key, callback in (
-            (keyexprs.AGENT_KEYFRAMES, intake.on_keyframe),
+            (keyexprs.AGENT_KEYFRAMES, context.telemetry.timed("ingest_ack", intake.on_keyframe)),
             (keyexprs.AGENT_CAMERAS, intake.on_camera),
         ):
             stack.enter_context(closing(context.bus.answer(key, callback)))
         ingest.announce()
         while True:
-            first = context.inbox.take(None)
-            ingest.handle([first, *context.inbox.drain(config.max_batch - 1)])
+            first = context.inbox.take(retention.patience_s())
+            ingest.handle([first, *context.inbox.drain(config.max_batch - 1)] if first else [])
+            retention.check_now()
+            retention.step()
+
+
+def _other(inbox: Inbox, log_id: str) -> None:
+    inbox.put_always(OtherHistoryKnown(log_id))
 
 
 class Ingest:
@@ -105,8 +125,11 @@ class Ingest:
         """Store all uploads among `events` with one commit, then answer everything."""
         self._store([event for event in events if isinstance(event, Upload)])
         for event in events:
-            if isinstance(event, StatusRequest):
-                event.query.reply(codec.encode(self.status()))
+            match event:
+                case StatusRequest(query):
+                    query.reply(codec.encode(self.status()))
+                case OtherHistoryKnown(log_id):
+                    self._begin_history(log_id)
 
     def announce(self) -> None:
         """Wake the log's readers."""
@@ -115,6 +138,8 @@ class Ingest:
     def status(self) -> Status:
         """Cursor is the head of the log; counters since the log began, refusals since the start."""
         counters = self._counters + self._intake.refused + self._trouble.counters
+        counters["entries_without_features"] = self._log.retained.features_from
+        counters["log_bytes"] = self._log.retained.used_bytes
         for name in ("keyframes", "bytes", "gaps", "dropped_keyframes"):
             counters[name] = sum(n for key, n in counters.items() if key.startswith(f"{name}."))
         return Status(
@@ -127,6 +152,22 @@ class Ingest:
             dirty=False,
             counters={name: float(count) for name, count in sorted(counters.items())},
         )
+
+    def _begin_history(self, known: str) -> None:
+        if known != self._log.log_id:  # several have said so
+            return
+        try:
+            log_id = self._log.begin_history()
+        except LogUnavailable as error:
+            logger.error("the log cannot be given another identity: %s", error)
+            return
+        logger.error(
+            "this is not the log %s that others have followed: its file was replaced by an older "
+            "or another one. It is log %s from now on, and whoever follows it starts over",
+            known,
+            log_id,
+        )
+        self.announce()
 
     def _store(self, uploads: Sequence[Upload]) -> None:
         admitted: list[tuple[Upload, AdmittedUpload | AdmittedCamera]] = []
@@ -154,7 +195,9 @@ class Ingest:
                 return admit_upload(upload.agent, upload.payload, self._log.cameras, self._config)
             verdict = admit_camera(upload.agent, upload.payload)
         except Exception:  # a bug of ours must not let one agent's upload stop the others
-            logger.exception("cannot judge an upload of %s", upload.agent)
+            logger.exception(
+                "cannot judge an upload of %s", upload.agent, extra=about(agent=upload.agent)
+            )
             return RetryAfter(self._config.retry_after_s, "internal error")
         if isinstance(verdict, AdmittedCamera) and self._is_one_too_many(verdict):
             limit = self._config.max_cameras_per_agent
@@ -210,4 +253,11 @@ class Ingest:
         if is_new:
             self._complained.add((agent, code))
             level = logging.WARNING
-        logger.log(level, "rejected an upload of %s: %s: %s", agent, code, reason)
+        logger.log(
+            level,
+            "rejected an upload of %s: %s: %s",
+            agent,
+            code,
+            reason,
+            extra=about(agent=agent),
+        )

@@ -19,12 +19,17 @@ class NoSharedKind(ValueError):
     """The two sides of a job have no kind of feature in common that the solver may use."""
 
 
+class FeaturesExpired(ValueError):
+    """A keyframe of a job has lost its features: the log was too large, or too old."""
+
+
 def shared_kind(
     job: LoopJob, store: KeyframeStore, preferred: Sequence[FeatureKind]
 ) -> FeatureType:
     """The first of the preferred kinds that every keyframe of both rigs has.
 
     Raises:
+        FeaturesExpired: If a keyframe has no features any more.
         NoSharedKind: If there is none; the message says what each side has.
         KeyframeNotFound, StoreUnavailable: From the store.
     """
@@ -41,9 +46,11 @@ def shared_kind(
 
 def _of_all(members: Sequence[RigMember], store: KeyframeStore) -> set[FeatureType]:
     """Kinds that all keyframes of a rig have."""
-    return set.intersection(
-        *({block.type for block in store.keyframe(m.keyframe).all_features} for m in members)
-    )
+    keyframes = [store.keyframe(member.keyframe) for member in members]
+    for kf in keyframes:
+        if kf.features is None:
+            raise FeaturesExpired(f"the features of {kf.id} were dropped from the log")
+    return set.intersection(*({block.type for block in kf.all_features} for kf in keyframes))
 
 
 def _names(kinds: set[FeatureType]) -> str:

@@ -49,7 +49,9 @@ def run(context: Context, new_solver: NewSolver = LoopSolver) -> None:
 
     def solve(job: LoopJob) -> Outcome:
         with solving:
-            return solver.solve(job)
+            outcome = solver.solve(job)
+        context.telemetry.observe("loop_solver_solve", outcome.solver_ms / 1e3)
+        return outcome
 
     worker = Worker(
         # A process that is started again must not be taken for the one that died.

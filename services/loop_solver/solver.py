@@ -25,7 +25,7 @@ from covinz.types import (
     Rejection,
 )
 from services.loop_solver.exposures import rig_exposures
-from services.loop_solver.kinds import NoSharedKind, shared_kind
+from services.loop_solver.kinds import FeaturesExpired, NoSharedKind, shared_kind
 from services.loop_solver.motions import consecutive, rig_motions
 from services.loop_solver.rig import build_rig
 from services.loop_solver.verticals import verticals
@@ -64,6 +64,8 @@ class LoopSolver:
             return _rejection(job, "keyframe_missing", str(error))
         except CameraNotFound as error:
             return _rejection(job, "camera_missing", str(error))
+        except FeaturesExpired as error:
+            return _rejection(job, "features_expired", str(error))
         except NoSharedKind as error:
             return _rejection(job, "feature_kind", str(error))
         except ValueError as error:
@@ -87,7 +89,7 @@ class LoopSolver:
 
         Raises:
             KeyframeNotFound, CameraNotFound, StoreUnavailable: From the store.
-            NoSharedKind: If the sides share no kind of feature.
+            FeaturesExpired, NoSharedKind: If features are not there, or of no common kind.
             ValueError: If the rigs cannot be formed of what the keyframes contain.
         """
         config, store = self._config, self._store

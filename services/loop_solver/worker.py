@@ -19,6 +19,7 @@ from covinz.bus import Bus, BusClosed
 from covinz.codec import MalformedMessage
 from covinz.config import WorkerConfig
 from covinz.keyframes import StoreUnavailable
+from covinz.logs import about
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.types import (
     JobDone,
@@ -156,7 +157,7 @@ class Worker:
         if isinstance(outcome, LoopClosure):
             outcome = self._bring_loop(outcome, lease.log_id)
         if outcome is None:
-            logger.info("gave job %s back: the process ends", job.id)
+            logger.info("gave job %s back: the process ends", job.id, extra=about(job=job.id))
             return
         if isinstance(outcome, Rejection):
             self._bus.put(keyexprs.REJECTION, codec.encode(outcome))
@@ -169,7 +170,8 @@ class Worker:
             try:
                 return self._solve(job)
             except StoreUnavailable as error:
-                logger.warning("job %s waits for its keyframes: %s", job.id, error)
+                extra = about(keyframe=job.query, job=job.id)
+                logger.warning("job %s waits for its keyframes: %s", job.id, error, extra=extra)
             if self._stopping:
                 break
             self._pause(pause_s)
@@ -246,6 +248,7 @@ class Worker:
                 outcome.num_inliers,
                 outcome.num_matches,
                 outcome.solver_ms,
+                extra=about(keyframe=outcome.query, job=outcome.job_id),
             )
         else:
             self.counters[f"rejected.{outcome.stage}"] += 1

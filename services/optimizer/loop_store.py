@@ -10,20 +10,29 @@ from pathlib import Path
 from covinz import codec
 from covinz.damage import CommitFailed, Trouble
 from covinz.durable import DamagedFile, DurableFile, FileKind
-from covinz.types import Correction, LoopClosure
+from covinz.types import Correction, LogMark, LoopClosure
 from services.optimizer.optimisation import Fault
+
+
+def _upgrade_1(db: sqlite3.Connection) -> None:
+    db.execute("ALTER TABLE log ADD COLUMN seen INTEGER NOT NULL DEFAULT 0")
+    db.execute("ALTER TABLE log ADD COLUMN chain TEXT NOT NULL DEFAULT ''")
+
 
 KIND = FileKind(
     name="loop store",
     application_id=b"cvzO",
-    version=1,
+    version=2,
+    upgrades=(_upgrade_1,),
     schema="""
     CREATE TABLE log (
         only INTEGER PRIMARY KEY CHECK (only = 0),
         log_id TEXT NOT NULL,
-        revision INTEGER NOT NULL
+        revision INTEGER NOT NULL,
+        seen INTEGER NOT NULL,  -- entries of the log that are known
+        chain TEXT NOT NULL     -- hash over them
     );
-    INSERT INTO log VALUES (0, '', 0);
+    INSERT INTO log VALUES (0, '', 0, 0, '');
     CREATE TABLE loop (
         job_id TEXT PRIMARY KEY,
         fault TEXT,     -- why it is left out of the maps; NULL: it is not
@@ -55,8 +64,8 @@ class LoopStore:
     def __init__(self, path: Path) -> None:
         self._file = DurableFile(path, KIND)
         try:
-            row = self._file.db.execute("SELECT log_id, revision FROM log").fetchone()
-            self._log_id, self._revision = str(row[0]), int(row[1])
+            row = self._file.db.execute("SELECT log_id, seen, chain, revision FROM log").fetchone()
+            self._seen, self._revision = LogMark(*row[:3]), int(row[3])
             self.loops(), self.corrections()
         except (sqlite3.Error, ValueError) as error:
             self._file.close()
@@ -68,7 +77,17 @@ class LoopStore:
     @property
     def log_id(self) -> str:
         """Log that the loops belong to; empty before the first one is known."""
-        return self._log_id
+        return self._seen.log_id
+
+    @property
+    def seen(self) -> LogMark:
+        """How much of the log was known when something was written last."""
+        return self._seen
+
+    def note_seen(self, mark: LogMark) -> None:
+        """More of the log is known; durable together with the next change."""
+        if mark.log_id == self.log_id and mark.index > self._seen.index:  # else it is read again
+            self._seen = mark
 
     @property
     def revision(self) -> int:
@@ -124,8 +143,8 @@ class LoopStore:
         with self._commit() as db:
             db.execute("DELETE FROM loop")
             db.execute("DELETE FROM correction")
-            db.execute("UPDATE log SET log_id = ?", (log_id,))
-        self._log_id = log_id
+            db.execute("UPDATE log SET log_id = ?, seen = 0, chain = ''", (log_id,))
+        self._seen = LogMark(log_id)
 
     def publish(self, revision: int, corrections: Sequence[Correction]) -> None:
         """Remember what is about to be published; raises StoreUnavailable."""
@@ -147,7 +166,10 @@ class LoopStore:
         """A transaction that begins with what was not written yet."""
         try:
             with self._file.transaction() as db:
-                db.execute("UPDATE log SET revision = ?", (self._revision,))
+                db.execute(
+                    "UPDATE log SET revision = ?, seen = ?, chain = ?",
+                    (self._revision, self._seen.index, self._seen.chain),
+                )
                 db.executemany(
                     "INSERT OR REPLACE INTO correction VALUES (?, ?)", self._corrections.items()
                 )

@@ -20,6 +20,7 @@ from covinz.config import OptimizerConfig
 from covinz.damage import rebuildable
 from covinz.durable import DamagedFile
 from covinz.log_follower import LogFollower, LogReset
+from covinz.logs import about
 from covinz.service import Context, StatusRequest
 from covinz.types import (
     Correction,
@@ -75,11 +76,17 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
         StoreUnavailable: If it cannot be noted that another log follows.
     """
     config, machine, deliver = context.config.optimizer, context.machine, context.inbox.put
+
+    def finish(event: object) -> None:
+        if isinstance(event, Optimised):
+            context.telemetry.observe("optimizer_optimisation", event.duration_ms / 1e3)
+        deliver(event)
+
     with ExitStack() as stack:
         path = context.data_dir / "optimizer.sqlite"
         store = rebuildable(path, lambda: LoopStore(path), DamagedFile)
         stack.enter_context(closing(store))
-        thread = stack.enter_context(closing(OptimisationThread(config, deliver, machine, run_one)))
+        thread = stack.enter_context(closing(OptimisationThread(config, finish, machine, run_one)))
         optimizer = Optimizer(
             store,
             context.bus,
@@ -93,7 +100,7 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
         follower = LogFollower(context.bus, LogView.POSE, deliver, machine=machine)
         stack.enter_context(closing(follower))
         # Keyframes are kept in memory only, so the log is always read from its beginning.
-        follower.start(0, "")
+        follower.start(0, "", store.seen)
         while True:
             first = context.inbox.take(optimizer.patience_s())
             events = [] if first is None else [first, *context.inbox.drain(EVENTS_PER_STEP - 1)]
@@ -229,7 +236,8 @@ class Optimizer:
         for (query, loop), is_new in zip(admitted, new, strict=True):
             if is_new:
                 self._maps.add_loop(loop)
-                logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand)
+                extra = about(keyframe=loop.query, job=loop.job_id)
+                logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand, extra=extra)
             reply(query, Stored() if is_new else Duplicate())
 
     def _is_of_this_log(self, loop: LoopClosure) -> bool:
@@ -258,6 +266,8 @@ class Optimizer:
         if page.log_id != self._log_id:
             raise RuntimeError(f"a page of log {page.log_id} while reading {self._log_id}")
         self._head = max(self._head, page.head)
+        if page.chain and page.entries:
+            self._store.note_seen(page.mark)
         for entry in page.entries:
             if entry.log_index != self._cursor:
                 raise RuntimeError(f"log entry {entry.log_index} came instead of {self._cursor}")
@@ -296,7 +306,8 @@ class Optimizer:
         if done.faults:
             self._unsent.write(lambda: self._store.mark(done.faults), self._clock_s())
             for fault in done.faults:
-                logger.error("loop %s is left out: %s", fault.job_id, fault.reason)
+                extra = about(job=fault.job_id)
+                logger.error("loop %s is left out: %s", fault.job_id, fault.reason, extra=extra)
                 self._counters["faulty_loops"] += 1
                 self._maps.remove_loop(fault.job_id)
         revision = self._store.revision + 1

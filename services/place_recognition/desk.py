@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
@@ -11,8 +12,19 @@ from covinz import codec, keyexprs
 from covinz.bus import Bus, Query
 from covinz.codec import MalformedMessage
 from covinz.damage import CommitFailed, Trouble
+from covinz.logs import about
 from covinz.service import Inbox
-from covinz.types import Duplicate, JobDone, JobRange, LeaseRequest, Rejected, Stored, UploadReply
+from covinz.types import (
+    Duplicate,
+    JobDone,
+    JobRange,
+    LeaseRequest,
+    LoopJob,
+    Rejected,
+    Rejection,
+    Stored,
+    UploadReply,
+)
 from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
@@ -50,22 +62,52 @@ class WorkerGone:
     worker: str
 
 
-DeskEvent = LeaseAsked | OutcomeBrought | JobsAsked | WorkerGone
+@dataclass(frozen=True, slots=True)
+class WorkerBack:
+    """The liveliness token of a worker is there."""
+
+    worker: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RetryAsked:
+    """Somebody wants a job that was given up to be done after all."""
+
+    query: Query
+
+
+DeskEvent = LeaseAsked | OutcomeBrought | JobsAsked | RetryAsked | WorkerGone | WorkerBack
 
 
 class Desk:
     """Where workers take jobs and bring outcomes.
 
-    `handle` only changes the dispatcher; `settle` commits the journal and then answers, so that a
-    lease or an acknowledgement that a worker has seen is never forgotten. While the journal cannot
-    be written nothing is lent or acknowledged: workers ask again.
+    `handle` only changes the dispatcher; `settle` commits the journal and then answers, so that an
+    acknowledgement that a worker has seen is never forgotten. While the journal cannot be written
+    nothing is lent or acknowledged: workers ask again.
+
+    Args:
+        dispatcher: Has the jobs.
+        journal: Its durable memory.
+        bus: To tell viewers what was given up.
+        save: Keeps the input of a job whose workers all failed.
     """
 
-    def __init__(self, dispatcher: Dispatcher[Query], journal: Journal, bus: Bus) -> None:
+    def __init__(
+        self,
+        dispatcher: Dispatcher[Query],
+        journal: Journal,
+        bus: Bus,
+        save: Callable[[LoopJob], object] = lambda _: None,
+    ) -> None:
         self._dispatcher = dispatcher
         self._journal = journal
         self._bus = bus
+        self._save = save
         self._acks: list[tuple[Query, UploadReply]] = []
+        # Given up, and nobody was told yet.
+        self._dead: list[tuple[LoopJob, Rejection]] = []
+        self._shed: list[Rejection] = []
         self._trouble: Trouble | None = None
         self._retry_at_s = 0.0  # while there is trouble
         self._counters: Counter[str] = Counter()
@@ -92,8 +134,12 @@ class Desk:
                 case JobsAsked(query):
                     first = codec.decode(query.payload, JobRange).first
                     query.reply(codec.encode(self._dispatcher.page(first)))
+                case RetryAsked(query):
+                    self._retry(query)
                 case WorkerGone(worker):
                     self._dispatcher.worker_gone(worker)
+                case WorkerBack(worker):
+                    self._dispatcher.worker_back(worker)
         except MalformedMessage as error:
             self._refuse(event, error)
 
@@ -102,6 +148,8 @@ class Desk:
         if self._trouble and now_s < self._retry_at_s:
             return self._refuse_acks()
         effects = self._dispatcher.advance(now_s)
+        self._dead += effects.dead
+        self._shed += effects.shed
         if not self._commit(now_s):
             for query in (*(query for query, _ in effects.granted), *effects.turned_away):
                 query.drop()
@@ -113,10 +161,25 @@ class Desk:
             query.reply(codec.encode(lease))
         for query in effects.turned_away:
             query.drop()
-        for rejection in effects.dead:
-            logger.error("job %s is dead: %s", rejection.job_id, rejection.detail)
-            self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
+        self._tell_given_up()
         return None
+
+    def _tell_given_up(self) -> None:
+        for job, rejection in self._dead:
+            logger.error(
+                "job %s is dead: %s",
+                rejection.job_id,
+                rejection.detail,
+                extra=about(keyframe=rejection.query, job=rejection.job_id),
+            )
+            self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
+            self._save(job)
+        if self._shed:
+            logger.error("%d jobs given up: too many wait", len(self._shed))
+        for rejection in self._shed:
+            self._bus.put(keyexprs.REJECTION, codec.encode(rejection))
+        self._dead.clear()
+        self._shed.clear()
 
     def _commit(self, now_s: float) -> bool:
         try:
@@ -143,16 +206,26 @@ class Desk:
             self._counters["outcomes_of_other_logs"] += 1
             self._acks.append((query, objection))
             return
-        fresh = self._dispatcher.finish(done.outcome)
+        fresh = self._dispatcher.finish(done.outcome, done.worker)
         self._counters["duplicate_outcomes"] += not fresh
         self._acks.append((query, Stored() if fresh else Duplicate()))
+
+    def _retry(self, query: Query) -> None:
+        try:
+            job_id = keyexprs.job_of(query.key)
+        except ValueError as error:
+            raise MalformedMessage(str(error)) from error
+        if self._dispatcher.retry(job_id):
+            self._acks.append((query, Stored()))
+        else:
+            self._acks.append((query, Rejected("not_given_up", f"job {job_id} is no dead letter")))
 
     def _refuse(self, event: DeskEvent, error: MalformedMessage) -> None:
         self._counters["malformed"] += 1
         logger.warning("refused %s: %s", type(event).__name__, error)
         if isinstance(event, OutcomeBrought):
             event.query.reply(codec.encode(Rejected("malformed", str(error))))
-        elif not isinstance(event, WorkerGone):
+        elif isinstance(event, LeaseAsked | JobsAsked | RetryAsked):
             event.query.drop()
 
 
@@ -162,19 +235,20 @@ def open_desk(bus: Bus, inbox: Inbox) -> ExitStack:
     When the inbox is full a request is dropped at once: its sender tries again.
     """
 
-    def enqueue(event: LeaseAsked | OutcomeBrought | JobsAsked) -> None:
+    def enqueue(event: LeaseAsked | OutcomeBrought | JobsAsked | RetryAsked) -> None:
         if not inbox.put(event, block=False):
             event.query.drop()
 
     def on_worker(key: str, alive: bool) -> None:
-        if not alive:
-            inbox.put_always(WorkerGone(keyexprs.worker_of(key)))
+        worker = keyexprs.worker_of(key)
+        inbox.put_always(WorkerBack(worker) if alive else WorkerGone(worker))
 
     stack = ExitStack()
     for declaration in (
         bus.answer(keyexprs.JOB_LEASE, lambda query: enqueue(LeaseAsked(query))),
         bus.answer(keyexprs.JOB_DONE, lambda query: enqueue(OutcomeBrought(query))),
         bus.answer(keyexprs.JOB_LIST, lambda query: enqueue(JobsAsked(query))),
+        bus.answer(keyexprs.JOB_RETRIES, lambda query: enqueue(RetryAsked(query))),
         bus.watch_alive(keyexprs.WORKERS_ALIVE, on_worker),
     ):
         stack.enter_context(closing(declaration))

@@ -1,14 +1,15 @@
 """Lends jobs to workers and collects outcomes; knows neither clock nor bus.
 
 pending -> leased -> done, or back to pending when a lease ends without an outcome, or dead after
-too many. At-least-once execution, exactly-once effect: outcomes are deduplicated by job id.
+too many failures. At-least-once execution, exactly-once effect: outcomes are deduplicated by job
+id.
 
-Source: decision 0006 (pull with leases, liveliness as accelerator).
+Source: decisions 0006 (pull with leases, liveliness as accelerator) and 0028 (what is a failure,
+which job is next, which are given up when too many wait).
 """
 
 from __future__ import annotations
 
-import heapq
 from collections import Counter
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -16,9 +17,9 @@ from typing import Generic, TypeVar
 from covinz.config import PlaceRecognitionConfig
 from covinz.types import (
     JobPage,
-    JobRecord,
     JobState,
     Lease,
+    LogMark,
     LoopClosure,
     LoopJob,
     Outcome,
@@ -26,28 +27,26 @@ from covinz.types import (
     Rejection,
     RetryAfter,
 )
+from services.place_recognition.job_state import Asker, Effects, Job, counter_of, given_up
 from services.place_recognition.journal import Journal
+from services.place_recognition.loop_graph import LoopGraph
+from services.place_recognition.pending import Pending
 
-Asker = TypeVar("Asker")
+T = TypeVar("T")
 
 # Job records in one answer; one is about 2 kB.
 PAGE_RECORDS = 256
 # What a worker is told to wait while the log is not known yet. [s]
 RETRY_AFTER_S = 0.5
-
-
-@dataclass(slots=True, eq=False)
-class _Job:
-    number: int
-    job: LoopJob
-    state: JobState
-    attempts: int
-    outcome: Outcome | None
+# Workers that vanished and may come back are remembered up to this number.
+MAX_REMEMBERED = 1024
+# Of a full queue so much is kept, so that it is not sorted for every job.
+KEPT_SHARE = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Loan:
-    job: _Job
+    job: Job
     until_s: float
 
 
@@ -57,46 +56,35 @@ class _Waiter(Generic[Asker]):
     until_s: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Effects(Generic[Asker]):
-    """What the owner has to do after the journal is committed.
-
-    Attributes:
-        granted: Askers that get a lease.
-        turned_away: Askers whose request ends without one.
-        dead: Jobs given up just now.
-    """
-
-    granted: tuple[tuple[Asker, Lease], ...]
-    turned_away: tuple[Asker, ...]
-    dead: tuple[Rejection, ...]
-
-
 class Dispatcher(Generic[Asker]):
     """All jobs of one log and who works on them.
 
     A worker holds at most one lease and one open request: asking again ends both. A lease that
-    ends so has not reached it, and is no attempt. Times are in seconds of one monotonic clock. An
-    `Asker` is whatever stands for an open request.
+    ends so has not reached it. A failure is a lease that ends at its deadline, or whose worker
+    vanished and does not come back. Times are in seconds of one monotonic clock. An `Asker` is
+    whatever stands for an open request.
     """
 
     def __init__(self, config: PlaceRecognitionConfig, journal: Journal) -> None:
         self._config = config
         self._journal = journal
         self._waiters: dict[str, _Waiter[Asker]] = {}
-        self._gone: set[str] = set()
+        self._gone: dict[str, None] = {}
         self._turned_away: list[Asker] = []
         # Empty until it is known whether the journal's log is still the one.
         self._log_id = ""
         self._forget_jobs()
 
     def _forget_jobs(self) -> None:
-        self._jobs: list[_Job] = []
-        self._by_id: dict[str, _Job] = {}
-        # Lowest number first, so a returned job goes to the front.
-        self._pending: list[int] = []
+        self._jobs: list[Job] = []
+        self._by_id: dict[str, Job] = {}
+        self._graph = LoopGraph()
+        self._pending = Pending(self._graph)
         self._loans: dict[str, _Loan] = {}
-        self._dead: list[Rejection] = []
+        # What vanished workers had in hand: not their jobs' fault if they come back.
+        self._doubts: dict[str, _Loan] = {}
+        self._dead: list[tuple[LoopJob, Rejection]] = []
+        self._shed: list[Rejection] = []
         self._outcomes: Counter[str] = Counter()
         self._returned = 0
 
@@ -104,6 +92,11 @@ class Dispatcher(Generic[Asker]):
     def pending(self) -> int:
         """Jobs that wait for a worker."""
         return len(self._pending)
+
+    @property
+    def is_full(self) -> bool:
+        """As many jobs wait as may."""
+        return len(self._pending) >= self._config.max_pending_jobs
 
     @property
     def leased(self) -> int:
@@ -121,33 +114,84 @@ class Dispatcher(Generic[Asker]):
         self._log_id = log_id
         self._forget_jobs()
 
+    def know(self, mark: LogMark) -> None:
+        """The log has these entries: jobs that are noted from now on may be of them."""
+        self._journal.note_seen(mark)
+
     def add(self, job: LoopJob) -> None:
         """Take a new job in; its outcome may be known from before."""
         known = self._journal.recall(job.id)
-        entry = _Job(len(self._jobs), job, known.state, known.attempts, known.outcome)
+        entry = Job(len(self._jobs), job, known.state, known.failures, known.outcome)
         self._jobs.append(entry)
         self._by_id[job.id] = entry
         if known.outcome is not None:
-            self._outcomes[_counter(known.outcome)] += 1
+            self._count(known.outcome)
+            if known.state is JobState.DEAD and isinstance(known.outcome, Rejection):
+                self._dead.append((job, known.outcome))
         else:
             self._return(entry)
+
+    def shed(self) -> None:
+        """Give up the least useful jobs when more wait than may.
+
+        Each gets an outcome of its own that says so, as durable as any other.
+        """
+        limit = self._config.max_pending_jobs
+        waiting = len(self._pending)
+        if waiting <= limit:
+            return
+        for number in self._pending.overflow(int(KEPT_SHARE * limit)):
+            entry = self._jobs[number]
+            detail = "jobs came faster than the loop solvers work; this was one of the least useful"
+            rejection = given_up(entry, "shed", waiting, limit, detail)
+            self._settle(entry, rejection, JobState.DONE)
+            self._shed.append(rejection)
+
+    def retry(self, job_id: str) -> bool:
+        """Let a job that was given up wait for a worker again; False for any other."""
+        entry = self._by_id.get(job_id)
+        if entry is None or not isinstance(entry.outcome, Rejection):
+            return False
+        if entry.outcome.stage not in ("dead_letter", "shed"):
+            return False
+        self._forget_outcome(entry, failures=0)
+        self._return(entry)
+        return True
 
     def request(self, worker: str, asker: Asker, now_s: float) -> None:
         """A worker asks for a job; answered by `advance`, perhaps much later."""
         if worker in self._gone:
             # It died with this request on its way; one that lives will ask again.
-            self._gone.discard(worker)
+            del self._gone[worker]
             self._turned_away.append(asker)
             return
-        if worker in self._loans:
-            self._undo_attempt(self._loans[worker].job)
-        self._end_worker(worker)
+        self._absolve(worker)
+        self._end_worker(worker, failed=False)
         self._waiters[worker] = _Waiter(asker, now_s + self._config.long_poll_s)
 
     def worker_gone(self, worker: str) -> None:
         """The liveliness token of a worker vanished: its lease and its request end."""
-        self._gone.add(worker)
-        self._end_worker(worker)
+        _remember(self._gone, worker, None)
+        loan = self._loans.get(worker)
+        self._end_worker(worker, failed=True)
+        if loan is not None:
+            _remember(self._doubts, worker, loan)
+
+    def worker_back(self, worker: str) -> None:
+        """The token is there: the worker lives and has its job still, only the link was lost."""
+        self._gone.pop(worker, None)
+        loan = self._doubts.get(worker)
+        if loan is None:
+            return
+        entry = loan.job
+        self._absolve(worker)
+        if entry.state is JobState.DEAD:
+            self._forget_outcome(entry, entry.failures)
+            entry.state = JobState.PENDING
+        if entry.state is JobState.PENDING:
+            self._pending.discard(entry.number)
+            entry.state = JobState.LEASED
+            self._loans[worker] = loan
 
     def objection(self, log_id: str) -> Rejected | RetryAfter | None:
         """Why an outcome of a job of log `log_id` is not taken; None when it is.
@@ -163,11 +207,12 @@ class Dispatcher(Generic[Asker]):
             return None
         return RetryAfter(RETRY_AFTER_S, "it is not known yet which log there is")
 
-    def finish(self, outcome: Outcome) -> bool:
+    def finish(self, outcome: Outcome, worker: str = "") -> bool:
         """Take an outcome, whatever became of its lease; False when there was one before.
 
         A dead job comes back to life: its worker was only slow.
         """
+        self._absolve(worker)
         entry = self._by_id.get(outcome.job_id)
         state = entry.state if entry else self._journal.recall(outcome.job_id).state
         if state is JobState.DONE:
@@ -183,7 +228,7 @@ class Dispatcher(Generic[Asker]):
         """End what is overdue and lend what can be lent: first come, first served."""
         for worker, loan in list(self._loans.items()):
             if loan.until_s <= now_s:
-                self._end_loan(worker)
+                self._end_loan(worker, failed=True)
         granted = []
         while self._pending and self._waiters:
             worker = next(iter(self._waiters))
@@ -192,8 +237,10 @@ class Dispatcher(Generic[Asker]):
         for worker, waiter in list(self._waiters.items()):
             if waiter.until_s <= now_s:
                 self._turned_away.append(self._waiters.pop(worker).asker)
-        effects = Effects(tuple(granted), tuple(self._turned_away), tuple(self._dead))
-        self._turned_away, self._dead = [], []
+        effects = Effects(
+            tuple(granted), tuple(self._turned_away), tuple(self._dead), tuple(self._shed)
+        )
+        self._turned_away, self._dead, self._shed = [], [], []
         return effects
 
     def next_deadline_s(self) -> float | None:
@@ -204,70 +251,77 @@ class Dispatcher(Generic[Asker]):
 
     def page(self, first: int) -> JobPage:
         """The jobs from number `first` on, in order of creation; at most `PAGE_RECORDS`."""
-        records = tuple(
-            JobRecord(entry.job, entry.state, entry.attempts, entry.outcome)
-            for entry in self._jobs[first : first + PAGE_RECORDS]
-        )
+        records = tuple(entry.record for entry in self._jobs[first : first + PAGE_RECORDS])
         return JobPage(total=len(self._jobs), first=first, records=records)
 
     def _lend(self, worker: str, now_s: float) -> Lease:
-        entry = self._jobs[heapq.heappop(self._pending)]
+        entry = self._jobs[self._pending.pop()]
         entry.state = JobState.LEASED
-        entry.attempts += 1
-        self._journal.note_attempt(entry.job.id, entry.attempts)
         self._loans[worker] = _Loan(entry, now_s + self._config.lease_s)
-        return Lease(entry.job, worker, entry.attempts, self._config.lease_s, self._log_id)
+        attempt = entry.failures + 1
+        return Lease(entry.job, worker, attempt, self._config.lease_s, self._log_id)
 
-    def _end_worker(self, worker: str) -> None:
+    def _end_worker(self, worker: str, failed: bool) -> None:
         waiter = self._waiters.pop(worker, None)
         if waiter is not None:
             self._turned_away.append(waiter.asker)
         if worker in self._loans:
-            self._end_loan(worker)
+            self._end_loan(worker, failed)
 
-    def _undo_attempt(self, entry: _Job) -> None:
-        """Nobody has touched the job; a link that loses leases must not use its attempts up."""
-        entry.attempts -= 1
-        self._journal.note_attempt(entry.job.id, entry.attempts)
-
-    def _end_loan(self, worker: str) -> None:
+    def _end_loan(self, worker: str, failed: bool) -> None:
         entry = self._loans.pop(worker).job
         self._returned += 1
+        if failed:
+            entry.failures += 1
+            self._journal.note_failures(entry.job.id, entry.failures)
         self._return(entry)
 
-    def _return(self, entry: _Job) -> None:
-        """Make a job without an outcome available, or give it up."""
-        if entry.attempts < self._config.max_attempts:
-            entry.state = JobState.PENDING
-            heapq.heappush(self._pending, entry.number)
-            return
-        job = entry.job
-        rejection = Rejection(
-            job_id=job.id,
-            query=job.query,
-            cand=job.cand,
-            stage="dead_letter",
-            count=entry.attempts,
-            threshold=self._config.max_attempts,
-            detail="every worker that took the job failed to return an outcome",
-            solver_ms=0.0,
-        )
-        self._settle(entry, rejection, JobState.DEAD)
-        self._dead.append(rejection)
+    def _absolve(self, worker: str) -> None:
+        """A worker that had vanished lives: its job has failed once less."""
+        loan = self._doubts.pop(worker, None)
+        if loan is not None and loan.job.failures > 0:
+            loan.job.failures -= 1
+            self._journal.note_failures(loan.job.job.id, loan.job.failures)
 
-    def _settle(self, entry: _Job, outcome: Outcome, state: JobState) -> None:
+    def _return(self, entry: Job) -> None:
+        """Make a job without an outcome available, or give it up."""
+        if entry.failures < self._config.max_attempts:
+            entry.state = JobState.PENDING
+            self._pending.add(entry.number, entry.job)
+            return
+        detail = "every worker that took the job failed to return an outcome"
+        limit = self._config.max_attempts
+        rejection = given_up(entry, "dead_letter", entry.failures, limit, detail)
+        self._settle(entry, rejection, JobState.DEAD)
+        self._dead.append((entry.job, rejection))
+
+    def _settle(self, entry: Job, outcome: Outcome, state: JobState) -> None:
         self._journal.note_outcome(outcome, state)
-        if entry.state is JobState.PENDING and entry.number in self._pending:
-            self._pending.remove(entry.number)
-            heapq.heapify(self._pending)
+        self._pending.discard(entry.number)
         for worker, loan in list(self._loans.items()):
             if loan.job is entry:
                 del self._loans[worker]
         if entry.outcome is not None:
-            self._outcomes[_counter(entry.outcome)] -= 1
-        self._outcomes[_counter(outcome)] += 1
+            self._outcomes[counter_of(entry.outcome)] -= 1
+        self._count(outcome)
         entry.state, entry.outcome = state, outcome
 
+    def _count(self, outcome: Outcome) -> None:
+        self._outcomes[counter_of(outcome)] += 1
+        if isinstance(outcome, LoopClosure):
+            self._graph.join(outcome.query, outcome.cand)
 
-def _counter(outcome: Outcome) -> str:
-    return "accepted" if isinstance(outcome, LoopClosure) else f"rejected.{outcome.stage}"
+    def _forget_outcome(self, entry: Job, failures: int) -> None:
+        if entry.outcome is not None:
+            self._outcomes[counter_of(entry.outcome)] -= 1
+        entry.outcome, entry.failures = None, failures
+        self._journal.forget(entry.job.id)
+        self._journal.note_failures(entry.job.id, failures)
+
+
+def _remember(known: dict[str, T], name: str, what: T) -> None:
+    """Keep the newest names only."""
+    known.pop(name, None)
+    known[name] = what
+    if len(known) > MAX_REMEMBERED:
+        del known[next(iter(known))]

@@ -10,6 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 
 from covinz.config import LoopSolverConfig, PlaceRecognitionConfig
+from covinz.logs import about
 from covinz.types import (
     Camera,
     Keyframe,
@@ -83,6 +84,9 @@ class Recognizer:
         return jobs
 
     def _describe(self, kf: Keyframe) -> Descriptions:
+        if kf.features is None:  # they were dropped from the log
+            self.counters["skipped.features_expired"] += 1
+            return {}
         descriptions = self._places.describe(kf)
         counts = {block.type.name.lower(): len(block) for block in kf.all_features}
         if not descriptions and counts and not counts.keys() & set(self._places.kinds):
@@ -93,7 +97,12 @@ class Recognizer:
 
     def _skip(self, kf: Keyframe, counter: str, reason: str) -> None:
         self.counters[counter] += 1
-        logger.info("keyframe %s takes no part in place recognition: %s", kf.id, reason)
+        logger.info(
+            "keyframe %s takes no part in place recognition: %s",
+            kf.id,
+            reason,
+            extra=about(keyframe=kf.id),
+        )
 
     def _begin(self, segment: SegmentId) -> list[LoopJob]:
         """Note a session; one that is new ends the others of its agent, and what waits for them."""

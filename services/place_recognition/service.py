@@ -24,11 +24,14 @@ from covinz.machine import THIS_MACHINE, Machine
 from covinz.service import Context, Inbox, StatusRequest
 from covinz.types import Camera, LogEntry, LogPage, LogView, Status
 from services.place_recognition.calibrations import Calibrations
+from services.place_recognition.dead_letters import DeadLetters
 from services.place_recognition.desk import (
     Desk,
     JobsAsked,
     LeaseAsked,
     OutcomeBrought,
+    RetryAsked,
+    WorkerBack,
     WorkerGone,
     open_desk,
 )
@@ -63,7 +66,9 @@ def run(context: Context) -> None:
         journal = rebuildable(path, lambda: Journal(path), DamagedFile)
         stack.enter_context(closing(journal))
         dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, journal)
-        desk = Desk(dispatcher, journal, context.bus)
+        dead_letters = DeadLetters(store, config.loop_solver, context.data_dir, machine)
+        stack.callback(dead_letters.close)
+        desk = Desk(dispatcher, journal, context.bus, dead_letters.save)
         service = PlaceRecognition(
             context.instance, new_recognizer, dispatcher, desk, gate, machine.monotonic_s
         )
@@ -72,7 +77,7 @@ def run(context: Context) -> None:
         stack.enter_context(closing(follower))
         stack.callback(gate.open_for_ever)
         # The index lives in memory only, so the log is always read from its beginning.
-        follower.start(0, "")
+        follower.start(0, "", journal.seen)
         while True:
             service.step(context.inbox)
 
@@ -158,6 +163,8 @@ class PlaceRecognition:
         self._clock_s = clock_s
         self._log_id = ""
         self._cursor = 0
+        # Where the log ended when it was first looked at.
+        self._old_head: int | None = None
         self._pages: deque[deque[LogEntry]] = deque()
 
     def step(self, inbox: Inbox) -> None:
@@ -166,7 +173,7 @@ class PlaceRecognition:
         events = [] if first is None else [first, *inbox.drain(REQUESTS_PER_STEP - 1)]
         for event in events:
             self._handle(event)
-        if self._pages:
+        if self._pages and not self._holds_back:
             self._process_entry()
         self._desk.settle(self._clock_s())
 
@@ -189,8 +196,14 @@ class PlaceRecognition:
             counters={name: float(count) for name, count in sorted(counters.items())},
         )
 
+    @property
+    def _holds_back(self) -> bool:
+        """What was logged before can wait in the log: no job of it is given up for being many."""
+        is_old = self._old_head is not None and self._cursor < self._old_head
+        return is_old and self._dispatcher.is_full
+
     def _patience_s(self) -> float | None:
-        if self._pages:
+        if self._pages and not self._holds_back:
             return 0.0
         deadline_s = self._desk.next_deadline_s()
         return None if deadline_s is None else max(0.0, deadline_s - self._clock_s())
@@ -201,12 +214,23 @@ class PlaceRecognition:
                 query.reply(codec.encode(self.status()))
             case LogReset(log_id):
                 self._start_over(log_id)
-            case LogPage(entries=entries):
+            case LogPage(entries=entries, head=head):
+                if self._old_head is None:
+                    self._old_head = head
+                if event.chain and entries:
+                    self._dispatcher.know(event.mark)
                 if entries:
                     self._pages.append(deque(entries))
                 else:
                     self._gate.page_done()
-            case LeaseAsked() | OutcomeBrought() | JobsAsked() | WorkerGone():
+            case (
+                LeaseAsked()
+                | OutcomeBrought()
+                | JobsAsked()
+                | RetryAsked()
+                | WorkerGone()
+                | WorkerBack()
+            ):
                 self._desk.handle(event, self._clock_s())
 
     def _start_over(self, log_id: str) -> None:
@@ -216,7 +240,7 @@ class PlaceRecognition:
         self._pages.clear()
         self._recognizer = self._new_recognizer()
         self._dispatcher.reset(log_id)
-        self._log_id, self._cursor = log_id, 0
+        self._log_id, self._cursor, self._old_head = log_id, 0, None
 
     def _process_entry(self) -> None:
         page = self._pages[0]
@@ -229,4 +253,6 @@ class PlaceRecognition:
         for job in self._recognizer.process(entry):
             logger.debug("candidate %s for %s, score %.1f", job.cand, job.query, job.score)
             self._dispatcher.add(job)
+        if self._old_head is not None and self._cursor >= self._old_head:
+            self._dispatcher.shed()
         self._cursor += 1

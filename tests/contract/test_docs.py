@@ -207,7 +207,7 @@ def test_every_key_is_among_the_messages(name: str) -> None:
     """A built key, with the arguments' names in its places, stands in schemas/README.md."""
     places = {
         "agent": "a0", "worker": "w0", "map_id": "01ARZ3NDEKTSV4RRFFQ69G5FAV",
-        "service": "ingest", "instance": "i0", "camera_hash": "c" * 64,
+        "service": "ingest", "instance": "i0", "camera_hash": "c" * 64, "job_id": "d" * 32,
         "keyframe_id": KeyframeId("a0", "01ARZ3NDEKTSV4RRFFQ69G5FAV", 7),
     }  # fmt: skip
     builder = BUILDERS[name]

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from covinz import codec, keyexprs
 from covinz.codec.layout import IDENTIFIERS
 from covinz.types import AGENT_PATTERN, Status
-from tests.fuzz.corpus import CORPUS, good_messages, read_corpus, write_corpus
 from tests.fuzz.fuzzing import Fuzzer
+from tests.fuzz.inputs import CORPUS, good_messages, read_corpus, write_corpus
 from tests.fuzz.readers import READERS, Reader, send_on
 
 GOOD = list(good_messages())

@@ -20,7 +20,7 @@ class Robot:
     """What the world knows of a robot, over all runs of its process.
 
     Attributes:
-        sent: Pose of every keyframe that `Agent.send` has returned for.
+        sent: Pose of every keyframe that `Agent.send` has returned for and the disk has.
         agent: Of the current run.
     """
 
@@ -81,9 +81,11 @@ class Robot:
         stamp_ns = EPOCH_NS + self._place * 10**9
         content = world.content(agent.session, self._place, stamp_ns)
         try:
-            self.sent[agent.send(content)] = content.T_odom_body
+            name = agent.send(content)
         except SpoolError:
             return  # the disk is full, and the robot knows
+        if agent.wait_saved():  # a process that hung may go on before its disk does
+            self.sent[name] = content.T_odom_body
 
     def _on_correction(self, correction: Correction) -> None:
         """A correction is for this robot and of its session."""

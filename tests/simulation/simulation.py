@@ -126,7 +126,7 @@ class Simulation:
         self._poison = ""
         # Keyframes that were on a disk which was lost, or may have been.
         self._forgiven: set[KeyframeId] = set()
-        # How often a worker was really lost, or could be taken for it, with a job in hand.
+        # How often a worker was really lost with a job in hand, or hung for too long.
         self._losses: Counter[str] = Counter()
         self._processes = {
             name: Process(
@@ -256,8 +256,6 @@ class Simulation:
                     process.kill(lasts_s, is_power_cut=True)
             return
         process = self._processes[incident.target]
-        if incident.target == "place_recognition":  # it cannot tell what became of open leases
-            self._lose_all_jobs()
         match incident.kind:
             case "kill" | "power_cut":
                 self._lose_job(process.name)
@@ -266,10 +264,10 @@ class Simulation:
                 is_power_cut = incident.kind.startswith("power_cut")
                 process.kill_at_write(incident.amount, lasts_s, is_power_cut)
             case "hang":
-                self._lose_job(process.name)
+                if lasts_s > self._config.place_recognition.lease_s / 2:
+                    self._lose_job(process.name)
                 process.hang(lasts_s)
             case "cut_off":
-                self._lose_job(process.name)
                 process.cut_off(lasts_s)
             case "disk_lost":
                 self._forgiven.update(name for robot in self._robots for name in robot.sent)
@@ -281,7 +279,6 @@ class Simulation:
 
     def _restart_router(self, down_s: float) -> None:
         self._note("dies", "router", "")
-        self._lose_all_jobs()
         self._network.set_router(False)
         self._scheduler.after(down_s, functools.partial(self._network.set_router, True))
 

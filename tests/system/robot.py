@@ -1,7 +1,7 @@
 """A robot as a process of its own, to be killed: sends keyframes and says which are safe.
 
-``python -m tests.system.robot ENDPOINT SPOOL COUNT`` prints the id of each keyframe once `send` has
-returned, then "sent", and "delivered" when the server has everything.
+``python -m tests.system.robot ENDPOINT SPOOL COUNT`` prints the id of each keyframe once it is on
+the disk, then "sent", and "delivered" when the server has everything.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ def main(endpoint: str, spool: str, count: str) -> None:
     """Send `count` keyframes and wait for a kill or for the server."""
     with Agent("a0", endpoint, Path(spool)) as agent:
         for seq in range(int(count)):
-            say(str(agent.send(content(seq, num_features=200))))
+            name = agent.send(content(seq, num_features=200))
+            agent.wait_saved()
+            say(str(name))
         say("sent")
         agent.wait_delivered()
         say("delivered")

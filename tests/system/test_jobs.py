@@ -70,6 +70,7 @@ class System:
     bus: Bus
     config: Config
     data: Path
+    router: subprocess.Popen[str]
 
     def status(self, name: str, instance: str | None = None) -> Status | None:
         for status in client.statuses(self.bus, name):
@@ -150,11 +151,11 @@ def system(
     recording: list[tuple[RenderedRobot, Keyframe]],
 ) -> Iterator[System]:
     """The log holds the recording; place recognition is not started."""
-    start_service("router")
+    router = start_service("router")
     start_service("ingest")
     bus = open_bus()
     assert bus.wait_connected(PATIENCE_S)
-    system = System(start_service, bus, load(config_file, {}), tmp_path / "data")
+    system = System(start_service, bus, load(config_file, {}), tmp_path / "data", router)
     system.until("ingest is up", lambda: system.status("ingest") is not None)
     for robot, kf in recording:
         camera = codec.encode(robot.camera)
@@ -335,14 +336,20 @@ def test_sigterm_ends_processes_cleanly(
 
 def kill_in_a_job(system: System, worker: subprocess.Popen[str]) -> str:
     """Kill a worker while it holds a job; returns the job's id."""
+    held = freeze_in_a_job(system, worker)
+    worker.kill()
+    worker.wait()
+    return held
+
+
+def freeze_in_a_job(system: System, worker: subprocess.Popen[str]) -> str:
+    """Freeze a worker while it holds a job; returns the job's id."""
     while True:
         system.until("a job is lent", lambda: leases(system) == 1)
-        # Frozen, it cannot finish between the look and the kill.
+        # Frozen, it cannot finish between the looks.
         worker.send_signal(signal.SIGSTOP)
         held = [r.job.id for r in client.jobs(system.bus) if r.state is JobState.LEASED]
         if held and leases(system) == 1:
-            worker.kill()
-            worker.wait()
             return held[0]
         worker.send_signal(signal.SIGCONT)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import subprocess
@@ -75,6 +76,20 @@ def test_a_signal_ends_a_service_cleanly(
     lines = (tmp_path / "example.log").read_text().splitlines()
     assert any("INFO    example-2 covinz.service: ready" in line for line in lines)
     assert not any("Traceback" in line for line in lines)
+
+
+def test_every_line_of_a_json_log_is_an_object(start_example: Start, tmp_path: Path) -> None:
+    process = start_example("--log-format", "json")
+    log, tick = tmp_path / "example.log", threading.Event()
+    while '"ready"' not in log.read_text():
+        assert process.poll() is None
+        tick.wait(0.02)
+    process.terminate()
+    assert process.wait(WAIT_S) == 0
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    assert {line["service"] for line in lines} == {"example"}
+    messages = [line["message"] for line in lines]
+    assert messages[0] == "ready" and messages[-1] == "stopped"
 
 
 def test_a_signal_ends_a_service_that_has_no_router(

@@ -7,7 +7,7 @@ enum class InstructionSet {
   kPortable,  // what the library is built for: SSE2 on x86-64
   kNeon,      // 64-bit ARM
   kSse42,     // with POPCNT: x86-64 since 2008
-  kAvx2,      // x86-64 since 2013
+  kAvx2,      // with POPCNT: x86-64 since 2013
   kAvx512     // with VPOPCNTDQ and VNNI: x86-64 since 2019
 };
 

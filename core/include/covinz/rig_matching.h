@@ -56,7 +56,9 @@ class PackedDescriptors {
 // The matches of MatchDescriptors, in rows of the descriptors that were packed, ascending in the
 // query row; the same ones with every instruction set. Distances are computed once: one pass yields
 // the nearest and the second nearest of every query descriptor and the nearest of every candidate
-// descriptor (the mutual check). The first of equally near ones is the nearest, as in OpenCV.
+// descriptor (the mutual check). SSE4.2 and AVX2 instead bound the Hamming distances of 32 bytes
+// from below, by looking nibbles up, and compute those only that could make or break a match. The
+// first of equally near ones is the nearest, as in OpenCV.
 //
 // Distances are exact integers; OpenCV rounds those of kL2 to single precision, so beyond 2048
 // (descriptors of SIFT are at most 1024 apart) it takes the first of some that differ by less than
@@ -66,7 +68,7 @@ class PackedDescriptors {
 // descriptors differ in length, the options are out of range or the processor lacks the instruction
 // set.
 //
-// The NEON kernels were tested in emulation (qemu-user), never timed.
+// The NEON kernels are tested in emulation (make core-neon), never timed.
 //
 // Source: COVINS-G, III-B2 (brute force); Lowe, IJCV 2004 (ratio); Mula, Kurz, Lemire, "Faster
 // population counts using AVX2 instructions", The Computer Journal 2018 (kernels).

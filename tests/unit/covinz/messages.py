@@ -113,13 +113,16 @@ upload_replies = st.one_of(
 )
 
 
+chains = st.just("") | st.text("0123456789abcdef", min_size=32, max_size=32)
+
+
 @st.composite
 def log_pages(draw: st.DrawFn) -> types.LogPage:
     first = draw(st.integers(0, 2**60))
     items = draw(st.lists(keyframes | gaps, max_size=4))
     entries = tuple(types.LogEntry(first + i, item) for i, item in enumerate(items))
     head = first + len(items) + draw(st.integers(0, 2**60))
-    return types.LogPage(draw(ulids), head, entries)
+    return types.LogPage(draw(ulids), head, entries, draw(chains))
 
 
 rigs = st.lists(
@@ -224,7 +227,7 @@ messages: st.SearchStrategy[Any] = st.one_of(
     keyframes,
     gaps,
     upload_replies,
-    st.builds(types.LogRange, counts, st.sampled_from(types.LogView)),
+    st.builds(types.LogRange, counts, st.sampled_from(types.LogView), st.just("") | ulids, chains),
     log_pages(),
     st.builds(types.LogHead, ulids, counts),
     st.builds(types.LeaseRequest, names),

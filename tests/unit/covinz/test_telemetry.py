@@ -1,104 +1,52 @@
+"""Durations, and questions that are timed."""
+
 from __future__ import annotations
 
-import logging
 import threading
-from collections.abc import Iterator
+from contextlib import closing
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from covinz.telemetry import MAX_DURATIONS, Telemetry, quantile, set_up_logging
+from covinz.machine import ThisMachine
+from covinz.memory_bus import Hub
+from covinz.telemetry import BUCKETS_S, Telemetry
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
+class Machine(ThisMachine):
+    now_s = 0.0
 
-    def __call__(self) -> float:
+    def monotonic_s(self) -> float:
         return self.now_s
 
 
-def test_counters_add_up_over_threads() -> None:
+def test_durations_add_up_over_threads() -> None:
     telemetry = Telemetry()
 
     def work() -> None:
         for _ in range(1000):
-            telemetry.count("jobs")
-        telemetry.count("bytes", 2.5)
+            telemetry.observe("a", 0.5)
 
     threads = [threading.Thread(target=work) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert telemetry.snapshot() == {"bytes": 10.0, "jobs": 4000.0}
+    found = telemetry.distributions()["a"]
+    assert sum(found.counts) == found.counts[BUCKETS_S.index(0.5)] == 4000
+    assert found.sum_s == 2000.0
 
 
-def test_stages_tell_median_and_p95_in_milliseconds() -> None:
-    clock = Clock()
-    telemetry = Telemetry(clock)
-    for duration_ms in range(1, 102):
-        with telemetry.stage("solve"):
-            clock.now_s += duration_ms / 1000
-    assert telemetry.snapshot() == {
-        "solve_ms.median": pytest.approx(51.0),
-        "solve_ms.p95": pytest.approx(96.0),
-    }
+def test_a_question_is_timed_until_its_answer_and_not_when_it_is_dropped() -> None:
+    machine = Machine()
+    telemetry = Telemetry(machine)
+    hub = Hub()
+    with closing(hub.join()) as server, closing(hub.join()) as asker:
 
+        def answer(query: object) -> None:
+            machine.now_s += 2.0
+            query.reply(query.payload + query.key.encode())  # type: ignore[attr-defined]
 
-def test_a_stage_that_fails_counts_and_lets_the_error_through() -> None:
-    clock = Clock()
-    telemetry = Telemetry(clock)
-    with pytest.raises(ZeroDivisionError), telemetry.stage("solve"):
-        clock.now_s += 0.5
-        raise ZeroDivisionError
-    assert telemetry.snapshot()["solve_ms.median"] == pytest.approx(500.0)
-
-
-def test_only_the_last_durations_count() -> None:
-    clock = Clock()
-    telemetry = Telemetry(clock)
-    for duration_s in [100.0] * MAX_DURATIONS + [1.0] * MAX_DURATIONS:
-        with telemetry.stage("solve"):
-            clock.now_s += duration_s
-    assert telemetry.snapshot()["solve_ms.p95"] == pytest.approx(1000.0)
-
-
-@given(st.lists(st.floats(-1e6, 1e6), min_size=1), st.floats(0, 1), st.floats(0, 1))
-def test_quantiles_lie_within_and_grow(values: list[float], p: float, q: float) -> None:
-    ordered = sorted(values)
-    low, high = quantile(ordered, min(p, q)), quantile(ordered, max(p, q))
-    slack = 1e-9 * (1 + abs(ordered[0]) + abs(ordered[-1]))
-    assert ordered[0] - slack <= low <= high + slack <= ordered[-1] + 2 * slack
-    assert quantile(ordered, 0.0) == ordered[0] and quantile(ordered, 1.0) == ordered[-1]
-
-
-@pytest.fixture
-def root_logger() -> Iterator[logging.Logger]:
-    root = logging.getLogger()
-    level, handlers = root.level, root.handlers[:]
-    root.handlers = []
-    yield root
-    root.setLevel(level)
-    root.handlers = handlers
-
-
-@pytest.mark.parametrize(
-    ("level", "expected"),
-    [("debug", logging.DEBUG), ("WARNING", logging.WARNING), ("nonsense", logging.INFO)],
-)
-def test_the_environment_sets_the_level(
-    root_logger: logging.Logger,
-    capfd: pytest.CaptureFixture[str],
-    level: str,
-    expected: int,
-) -> None:
-    set_up_logging("ingest", "ingest-2", level)
-    assert root_logger.level == expected
-    logging.getLogger("covinz.test").error("one %s", "line")
-    last = capfd.readouterr().err.splitlines()[-1]
-    assert last.endswith("ERROR   ingest-2 covinz.test: one line")
-    set_up_logging("ingest", "b", level)
-    logging.getLogger("covinz.test").error("x")
-    assert " ingest/b covinz.test: x" in capfd.readouterr().err
+        server.answer("covinz/a", telemetry.timed("slow", answer))
+        server.answer("covinz/b", telemetry.timed("gone", lambda query: query.drop()))
+        assert asker.ask("covinz/a", b"x") == [b"xcovinz/a"]
+        assert asker.ask("covinz/b") == []
+    assert list(telemetry.distributions()) == ["slow"]
+    assert telemetry.distributions()["slow"].sum_s == 2.0

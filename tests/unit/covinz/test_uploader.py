@@ -9,6 +9,7 @@ from covinz import codec, keyexprs
 from covinz.config import AgentConfig
 from covinz.memory_bus import Hub
 from covinz.spool import Spool, SpoolError
+from covinz.spool_rows import SpoolEntry
 from covinz.types import Stored
 from covinz.uploader import Backoff, Uploader
 from tests.local_ingest import WAIT_S
@@ -38,7 +39,7 @@ class FlakySpool(Spool):
     """A spool whose disk cannot be read when the calibration is wanted for the first time."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path, "a0", 10**9)
+        super().__init__(path, "a0", AgentConfig())
         self.failures = 0
 
     def camera(self, camera_hash: str) -> bytes:
@@ -54,7 +55,7 @@ def test_a_spool_that_cannot_be_read_for_once_is_tried_again(tmp_path: Path) -> 
     for key in (keyexprs.AGENT_CAMERAS, keyexprs.AGENT_KEYFRAMES):
         server.answer(key, lambda query: query.reply(codec.encode(Stored())))
     spool = FlakySpool(tmp_path / "spool")
-    spool.append(keyframe().id, message(), CAMERA.hash, codec.encode(CAMERA))
+    spool.append([SpoolEntry(keyframe().id, 0, message(), CAMERA.hash, codec.encode(CAMERA))])
     config = AgentConfig(window=1, min_backoff_s=0.001, max_backoff_s=0.01)
     uploader = Uploader(robot, spool, "a0", config, lambda row, answer: None)
     uploader.start()

@@ -31,7 +31,7 @@ from services.ingest.admission import (
     admit_upload,
 )
 from services.ingest.keyframe_log import AgentTotals, KeyframeLog, LogUnavailable
-from services.ingest.log_reader import LogReader
+from services.ingest.log_reader import LogReader, OtherHistory
 from tests.uploads import CAMERA, SESSION, keyframe, message
 
 
@@ -263,3 +263,124 @@ def test_cameras_of_other_models_stay_apart(log: KeyframeLog) -> None:
     assert isinstance(answer, AdmittedCamera)
     assert log.append([camera(), answer]) == [Stored(), Stored()]
     np.testing.assert_array_equal(log.cameras[wide.hash].params, wide.params)
+
+
+# --- history --------------------------------------------------------------------------------
+
+
+def follow(reader: LogReader, start: int, like: LogPage) -> bytes:
+    return reader.page(LogRange(start, LogView.POSE, like.log_id, like.chain))
+
+
+def test_equal_logs_have_equal_chains_whatever_the_pages(tmp_path: Path) -> None:
+    chains = []
+    for batches in ([[0, 1, 2, 3]], [[0], [1, 2], [3]]):
+        log = KeyframeLog(tmp_path / f"{len(batches)}.sqlite")
+        for seqs in batches:
+            log.append(keyframes(*seqs))
+        log.close()
+        log = KeyframeLog(tmp_path / f"{len(batches)}.sqlite")
+        log.append(keyframes(4))
+        for page_bytes in (1, 1024 * 1024):
+            reader = LogReader(tmp_path / f"{len(batches)}.sqlite", page_bytes)
+            chain, start = "", 0
+            while start < 5:
+                page = page_of(reader, start)
+                chain, start = page.chain, start + len(page.entries)
+            assert page_of(reader, 5).chain == chain
+            assert page_of(reader, 6).chain == ""
+            chains.append(chain)
+            reader.close()
+        log.close()
+    assert len(set(chains)) == 1
+
+
+def test_who_followed_an_older_or_another_history_is_told(
+    log: KeyframeLog, path: Path, tmp_path: Path
+) -> None:
+    log.append(keyframes(0, 1))
+    backup = tmp_path / "backup.sqlite"
+    with sqlite3.connect(backup) as copy:
+        sqlite3.connect(path).backup(copy)
+    copy.close()
+    log.append(keyframes(2))
+    reader = LogReader(path, page_bytes=1024 * 1024)
+    seen = page_of(reader, 0)
+    reader.close()
+
+    restored = KeyframeLog(backup)
+    reader = LogReader(backup, page_bytes=1024 * 1024)
+    assert restored.log_id == log.log_id
+    with pytest.raises(OtherHistory, match=log.log_id):
+        follow(reader, 3, seen)
+    restored.append(keyframes(5, 6))
+    with pytest.raises(OtherHistory, match=log.log_id):
+        follow(reader, 3, seen)
+    same = page_of(LogReader(path, page_bytes=1), 0)
+    assert follow(reader, 1, same)  # so far both are the same
+
+    new = restored.begin_history()
+    assert new != log.log_id
+    page = codec.decode(follow(reader, 3, seen), LogPage)
+    assert (page.log_id, page.head) == (new, 4)
+    reader.close()
+    restored.close()
+    assert KeyframeLog(backup).log_id == new
+
+
+def test_a_file_of_format_1_is_upgraded(path: Path) -> None:
+    log = KeyframeLog(path)
+    log.append([camera(), *keyframes(0, 1, 2)])
+    chain = page_of(LogReader(path, 1024 * 1024), 0).chain
+    log.close()
+    with sqlite3.connect(path) as db:
+        for table in ("chain", "retention", "age"):
+            db.execute(f"DROP TABLE {table}")
+        db.execute("PRAGMA user_version = 1")
+    db.close()
+    log = KeyframeLog(path)
+    assert log.append(keyframes(0, 3)) == [Duplicate(), Stored()]
+    page = page_of(LogReader(path, len(message(0))), 2)
+    assert page.chain == chain
+    log.close()
+
+
+# --- features that are dropped or damaged ---------------------------------------------------
+
+
+def test_without_features_the_poses_stay_and_the_history_is_the_same(
+    log: KeyframeLog, reader: LogReader
+) -> None:
+    gap = admitted(codec.encode(Gap("a0", SESSION, 90, 91, "spool full")))
+    log.append([camera(), *keyframes(0, 1), gap, *keyframes(2)])
+    before, poses = page_of(reader, 0), page_of(reader, 0, LogView.POSE)
+    log.retained.drop_features(3)
+    after = page_of(reader, 0)
+    assert after.chain == before.chain
+    assert [entry.log_index for entry in after.entries] == [0, 1, 2, 3]
+    features = [
+        entry.item.features is not None
+        for entry in after.entries
+        if isinstance(entry.item, Keyframe)
+    ]
+    assert features == [False, False, True]
+    assert reader.page(LogRange(0, LogView.POSE)) == codec.encode(poses)
+    assert reader.keyframe(keyframe(0).id) == codec.encode(codec.without_features(keyframe(0)))
+    assert log.append(keyframes(0, 2)) == [Duplicate(), Duplicate()]
+    assert reader.camera(CAMERA.hash) is not None
+
+
+def test_damaged_features_are_not_handed_out(
+    log: KeyframeLog, reader: LogReader, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    log.append(keyframes(0, 1))
+    with sqlite3.connect(path) as db:
+        db.execute("UPDATE entry SET payload = zeroblob(length(payload)) WHERE log_index = 0")
+    db.close()
+    for _ in range(2):
+        items = [entry.item for entry in page_of(reader, 0).entries]
+        assert [isinstance(kf, Keyframe) and kf.features is not None for kf in items] == [
+            False,
+            True,
+        ]
+    assert caplog.text.count("the features of entry 0 are lost") == 1

@@ -179,7 +179,8 @@ def test_a_keyframe_without_features_is_a_bad_rig(room: Any) -> None:
     with pytest.raises(BadRig, match="no ORB features"):
         build_rig(room.job.query_rig, room.store, FeatureType.ORB)
     outcome = solve(room)
-    assert isinstance(outcome, Rejection) and outcome.stage == "feature_kind"
+    assert isinstance(outcome, Rejection) and outcome.stage == "features_expired"
+    assert str(first) in outcome.detail
 
 
 def test_time_is_that_of_the_core(room: Any) -> None:

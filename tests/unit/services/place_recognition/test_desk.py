@@ -29,7 +29,7 @@ from covinz.types import (
     RigMember,
     Stored,
 )
-from services.place_recognition.desk import RETRY_S, Desk, WorkerGone, open_desk
+from services.place_recognition.desk import RETRY_S, Desk, WorkerBack, WorkerGone, open_desk
 from services.place_recognition.dispatcher import Dispatcher
 from services.place_recognition.journal import Journal
 
@@ -171,6 +171,7 @@ def test_an_outcome_of_a_lost_log_is_refused_for_good(office: Office, ask: Ask) 
 def test_a_worker_s_end_returns_its_job(office: Office, ask: Ask, hub: Hub) -> None:
     with closing(hub.join()) as worker:
         worker.declare_alive(keyexprs.worker_alive("w"))
+        assert office.inbox.take(PATIENCE_S) == WorkerBack("w")
         office.dispatcher.add(job(0))
         asked = ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
         office.step()
@@ -196,6 +197,22 @@ def test_a_dead_letter_is_published(office: Office, ask: Ask, hub: Hub) -> None:
         office.desk.settle(0.0)
         assert published.wait(PATIENCE_S)
     assert [rejection.stage for rejection in rejections] == ["dead_letter"]
+
+
+def test_a_dead_letter_can_be_sent_again(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
+    office.step()
+    office.desk.handle(WorkerGone("w"), 0.0)
+    office.desk.settle(0.0)
+    again = ask(keyexprs.job_retry(job(0).id), b"")
+    office.step()
+    assert codec.decode_upload_reply(again.replies()[0]) == Stored()
+    assert office.dispatcher.pending == 1
+    unknown = ask(keyexprs.job_retry("f" * 32), b"")
+    office.step()
+    answer = codec.decode_upload_reply(unknown.replies()[0])
+    assert isinstance(answer, Rejected) and answer.code == "not_given_up"
 
 
 def test_jobs_are_listed_with_their_state(office: Office, ask: Ask) -> None:

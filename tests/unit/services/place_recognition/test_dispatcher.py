@@ -85,10 +85,11 @@ def test_jobs_and_workers_are_served_in_order(desk: Dispatcher[str]) -> None:
     assert lent(desk, 0.0) == []
     for n in range(3):
         desk.add(job(n))
-    assert lent(desk, 0.1) == [("r1", "00", 1), ("r2", "01", 1)]
+    # The newest first, for all of them might join two maps.
+    assert lent(desk, 0.1) == [("r1", "02", 1), ("r2", "01", 1)]
     assert (desk.pending, desk.leased) == (1, 2)
     desk.request("w3", "r3", 0.2)
-    assert lent(desk, 0.2) == [("r3", "02", 1)]
+    assert lent(desk, 0.2) == [("r3", "00", 1)]
 
 
 def test_a_lease_says_how_long_it_lasts(desk: Dispatcher[str]) -> None:
@@ -124,13 +125,11 @@ def test_outcomes_before_the_log_is_known(desk: Dispatcher[str], journal: Journa
 
 def test_a_lease_ends_at_its_deadline(desk: Dispatcher[str]) -> None:
     desk.add(job(0))
-    desk.add(job(1))
     desk.request("w1", "r1", 0.0)
     assert lent(desk, 0.0) == [("r1", "00", 1)]
     assert desk.next_deadline_s() == 60.0
     assert lent(desk, 59.9) == []
     desk.request("w2", "r2", 60.0)
-    # Back at the front of the queue.
     assert lent(desk, 60.0) == [("r2", "00", 2)]
     assert desk.counters["returned"] == 1
 
@@ -139,10 +138,104 @@ def test_a_lease_ends_when_its_worker_vanishes(desk: Dispatcher[str]) -> None:
     desk.add(job(0))
     desk.add(job(1))
     desk.request("w1", "r1", 0.0)
-    desk.advance(0.0)
+    assert lent(desk, 0.0) == [("r1", "01", 1)]
     desk.request("w2", "r2", 1.0)
     desk.worker_gone("w1")
-    assert lent(desk, 1.0) == [("r2", "00", 2)]
+    assert lent(desk, 1.0) == [("r2", "01", 2)]
+
+
+def test_a_worker_that_only_lost_its_link_keeps_its_job(journal: Journal) -> None:
+    desk = make(journal, 1)
+    desk.request("w", "r", 0.0)
+    desk.advance(0.0)
+    for _ in range(5):  # restarts of the router
+        desk.worker_gone("w")
+        assert (desk.pending, desk.leased) == (1, 0)
+        assert journal.recall(job(0).id).failures == 1
+        desk.worker_back("w")
+        assert (desk.pending, desk.leased) == (0, 1)
+        assert journal.recall(job(0).id).failures == 0
+    assert desk.next_deadline_s() == 60.0
+    assert desk.advance(60.0).dead == ()
+    assert desk.page(0).records[0].attempts == 1
+
+
+def test_a_job_that_went_to_another_meanwhile_has_not_failed(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    desk.request("w1", "r1", 0.0)
+    desk.advance(0.0)
+    desk.worker_gone("w1")
+    desk.request("w2", "r2", 0.0)
+    assert lent(desk, 0.0) == [("r2", "00", 2)]
+    desk.worker_back("w1")
+    assert desk.page(0).records[0].attempts == 1
+    # Two at work on one job: the first outcome counts.
+    assert desk.finish(loop(0), "w1") and not desk.finish(rejection(0), "w2")
+    assert (desk.pending, desk.leased) == (0, 0)
+
+
+def test_a_job_given_up_too_early_is_taken_up_again(desk: Dispatcher[str]) -> None:
+    desk.add(job(0))
+    for worker in ("w1", "w2", "w3"):
+        desk.request(worker, worker, 0.0)
+        desk.advance(0.0)
+        desk.worker_gone(worker)
+    assert len(desk.advance(0.0).dead) == 1
+    desk.worker_back("w3")
+    record = desk.page(0).records[0]
+    assert (record.state, record.attempts, record.outcome) == (JobState.LEASED, 3, None)
+    assert desk.counters["rejected.dead_letter"] == 0
+
+
+def test_a_dead_job_may_be_tried_again(journal: Journal) -> None:
+    desk = make(journal, 2)
+    for worker in ("w1", "w2", "w3"):
+        desk.request(worker, worker, 0.0)
+        assert lent(desk, 0.0)[0][1] == "01"
+        desk.worker_gone(worker)
+    desk.advance(0.0)
+    assert not desk.retry(job(0).id) and not desk.retry("unknown")
+    assert desk.retry(job(1).id)
+    assert (desk.pending, desk.counters["rejected.dead_letter"]) == (2, 0)
+    journal.commit()
+    assert journal.recall(job(1).id).outcome is None
+    desk.request("w4", "r4", 1.0)
+    assert lent(desk, 1.0) == [("r4", "01", 1)]
+
+
+def test_too_many_jobs_are_shed_and_say_so(journal: Journal) -> None:
+    config = CONFIG.model_copy(update={"max_pending_jobs": 10})
+    desk: Dispatcher[str] = Dispatcher(config, journal)
+    desk.reset(LOG)
+    for n in range(10):
+        desk.add(job(n))
+        desk.shed()
+    assert desk.is_full and desk.advance(0.0).shed == ()
+    desk.add(job(10))
+    desk.shed()
+    # The oldest go, for all of them might join two maps.
+    shed = desk.advance(0.0).shed
+    assert [one.job_id for one in shed] == [job(1).id, job(0).id]
+    assert {(one.stage, one.count, one.threshold) for one in shed} == {("shed", 11, 10)}
+    assert (desk.pending, desk.counters["rejected.shed"]) == (9, 2)
+    # For good, also after a restart, unless somebody asks for them.
+    journal.commit()
+    again = make(journal, 11)
+    assert (again.pending, again.counters["rejected.shed"]) == (9, 2)
+    assert again.retry(job(0).id)
+    assert again.pending == 10
+
+
+def test_who_waits_follows_the_accepted_loops(desk: Dispatcher[str]) -> None:
+    for n in (0, 50, 20):
+        desk.add(job(n))
+    assert desk.finish(loop(0))  # now a and b share a map
+    other = RigMember(KeyframeId("c", LOG, 0), np.eye(4), "0123456789abcdef")
+    desk.add(LoopJob(f"{99:032x}", (other,), (member("a", 3),), 1.0))
+    for number in range(3):
+        desk.request(f"w{number}", f"r{number}", 0.0)
+    # Between maps, then the longest way over the known loop.
+    assert [name for _, name, _ in lent(desk, 0.0)] == [f"{99:02x}", f"{50:02x}", f"{20:02x}"]
 
 
 def test_a_vanished_worker_s_request_is_not_served(desk: Dispatcher[str]) -> None:
@@ -176,11 +269,11 @@ def test_leases_that_never_arrive_do_not_use_a_job_up(journal: Journal) -> None:
     for n in range(9):
         desk.request("w", f"r{n}", float(n))
         assert lent(desk, float(n)) == [(f"r{n}", "00", 1)]
-    # Nor after a restart; then only the lease that is open counts.
+    # Nor after a restart, which tells nothing of the worker that had it.
     journal.commit()
     again = make(journal, num_jobs=1)
     again.request("w", "r", 20.0)
-    assert lent(again, 20.0) == [("r", "00", 2)]
+    assert lent(again, 20.0) == [("r", "00", 1)]
 
 
 def test_a_second_request_replaces_the_first(desk: Dispatcher[str]) -> None:
@@ -206,7 +299,8 @@ def test_a_job_that_kills_its_workers_is_given_up(desk: Dispatcher[str]) -> None
         desk.request(f"w{attempt}", f"r{attempt}", 0.0)
         assert lent(desk, 0.0) == [(f"r{attempt}", "00", attempt)]
         desk.worker_gone(f"w{attempt}")
-    (dead,) = desk.advance(0.0).dead
+    ((lost, dead),) = desk.advance(0.0).dead
+    assert lost.id == job(0).id
     assert (dead.stage, dead.count, dead.threshold) == ("dead_letter", 3, 3)
     (record,) = desk.page(0).records
     assert (record.state, record.attempts, record.outcome) == (JobState.DEAD, 3, dead)
@@ -248,7 +342,7 @@ def test_an_outcome_of_a_pending_job_ends_it(desk: Dispatcher[str]) -> None:
     assert desk.finish(rejection(1))
     for worker in ("w1", "w2", "w3"):
         desk.request(worker, worker, 0.0)
-    assert lent(desk, 0.0) == [("w1", "00", 1), ("w2", "02", 1)]
+    assert lent(desk, 0.0) == [("w1", "02", 1), ("w2", "00", 1)]
 
 
 def test_pages_are_bounded(desk: Dispatcher[str]) -> None:
@@ -275,7 +369,7 @@ def test_a_restart_makes_leased_jobs_pending_and_skips_done_ones(journal: Journa
     ]
     assert after.counters["accepted"] == 1
     after.request("w3", "r3", 0.0)
-    assert lent(after, 0.0) == [("r3", "00", 2)]
+    assert lent(after, 0.0) == [("r3", "02", 1)]
 
 
 def test_an_outcome_may_come_before_its_job_is_made_again(journal: Journal) -> None:
@@ -290,7 +384,7 @@ def test_another_log_starts_over(journal: Journal) -> None:
     desk = make(journal, 2)
     desk.request("w", "r", 0.0)
     desk.advance(0.0)
-    desk.finish(loop(0))
+    desk.finish(loop(1))
     desk.request("w2", "r2", 1.0)
     desk.advance(1.0)
     desk.request("w3", "open", 1.0)
@@ -314,8 +408,6 @@ class DispatcherMachine(RuleBasedStateMachine):
         self.leases: list[Lease] = []
         self.open_requests: set[str] = set()
         self.acked: dict[str, Outcome] = {}
-        self.attempts: dict[str, int] = {}
-        self.held: dict[str, str] = {}
 
     def settle(self) -> None:
         effects = self.desk.advance(self.now_s)
@@ -324,10 +416,7 @@ class DispatcherMachine(RuleBasedStateMachine):
             self.open_requests.remove(asker)
             assert asker.startswith(f"{lease.worker} ")
             assert lease.job.id not in self.acked
-            assert lease.attempt == self.attempts.get(lease.job.id, 0) + 1 <= CONFIG.max_attempts
-            self.attempts[lease.job.id] = lease.attempt
-            self.held = {w: held for w, held in self.held.items() if held != lease.job.id}
-            self.held[lease.worker] = lease.job.id
+            assert 1 <= lease.attempt <= CONFIG.max_attempts
             self.leases.append(lease)
         for asker in effects.turned_away:
             self.open_requests.remove(asker)
@@ -343,16 +432,24 @@ class DispatcherMachine(RuleBasedStateMachine):
         asker = f"{worker} {len(self.open_requests)} {self.now_s}"
         self.now_s += 0.25
         self.open_requests.add(asker)
-        for record in self.desk.page(0).records:
-            if self.held.get(worker) == record.job.id and record.state is JobState.LEASED:
-                self.attempts[record.job.id] -= 1  # it asks again: the lease never reached it
         self.desk.request(worker, asker, self.now_s)
         self.settle()
 
     @rule(worker=st.sampled_from("uvw"))
     def worker_dies(self, worker: str) -> None:
         self.desk.worker_gone(worker)
-        self.held.pop(worker, None)
+        self.settle()
+
+    @rule(worker=st.sampled_from("uvw"))
+    def worker_is_back(self, worker: str) -> None:
+        self.desk.worker_back(worker)
+        self.settle()
+
+    @precondition(lambda self: self.num_jobs)
+    @rule(data=st.data())
+    def somebody_wants_it_again(self, data: st.DataObject) -> None:
+        record = data.draw(st.sampled_from(self.desk.page(0).records))
+        assert self.desk.retry(record.job.id) is (record.state is JobState.DEAD)
         self.settle()
 
     @rule(seconds=st.sampled_from([1.0, 5.0, 60.0]))
@@ -377,7 +474,6 @@ class DispatcherMachine(RuleBasedStateMachine):
         self.journal = Journal(Path(self.folder.name) / "place_recognition.sqlite")
         self.desk = make(self.journal)
         self.open_requests.clear()
-        self.held.clear()
         # Requests and outcomes may come in the middle of the replay; the rest follows at once.
         for n in range(self.num_jobs):
             if n == replayed and self.leases:
@@ -397,7 +493,8 @@ class DispatcherMachine(RuleBasedStateMachine):
             closed = record.state in (JobState.DONE, JobState.DEAD)
             assert closed is (record.outcome is not None)
             assert (record.state is JobState.DONE) is (record.job.id in self.acked)
-            assert record.attempts == self.attempts.get(record.job.id, 0)
+            dead_after = CONFIG.max_attempts if record.state is JobState.DEAD else 0
+            assert dead_after <= record.attempts <= CONFIG.max_attempts + 1
         assert sum(self.desk.counters.values()) - self.desk.counters["returned"] == sum(
             state in (JobState.DONE, JobState.DEAD) for state in states
         )

@@ -60,20 +60,20 @@ def journal(reopen: Reopen) -> Journal:
 
 
 def test_what_was_committed_survives(journal: Journal, reopen: Reopen) -> None:
-    journal.note_attempt(job_id(1), 1)
-    journal.note_attempt(job_id(1), 2)
-    journal.note_attempt(job_id(2), 1)
+    journal.note_failures(job_id(1), 1)
+    journal.note_failures(job_id(1), 2)
+    journal.note_failures(job_id(2), 1)
     journal.note_outcome(loop(2), JobState.DONE)
     journal.note_outcome(rejection(3, "dead_letter"), JobState.DEAD)
     journal.commit()
     again = reopen()
     assert again.log_id == LOG
-    assert (again.recall(job_id(1)).attempts, again.recall(job_id(1)).state) == (
+    assert (again.recall(job_id(1)).failures, again.recall(job_id(1)).state) == (
         2,
         JobState.PENDING,
     )
     known = again.recall(job_id(2))
-    assert (known.attempts, known.state) == (1, JobState.DONE)
+    assert (known.failures, known.state) == (1, JobState.DONE)
     assert known.outcome is not None
     assert codec.encode(known.outcome) == codec.encode(loop(2))
     assert again.recall(job_id(3)).state is JobState.DEAD
@@ -91,7 +91,7 @@ def test_what_was_not_committed_is_lost(journal: Journal, reopen: Reopen) -> Non
 
 def test_an_unknown_job_has_no_past(journal: Journal) -> None:
     known = journal.recall(job_id(9))
-    assert (known.attempts, known.state, known.outcome) == (0, JobState.PENDING, None)
+    assert (known.failures, known.state, known.outcome) == (0, JobState.PENDING, None)
 
 
 def test_the_same_log_keeps_and_another_forgets(journal: Journal, reopen: Reopen) -> None:
@@ -109,11 +109,11 @@ def test_the_same_log_keeps_and_another_forgets(journal: Journal, reopen: Reopen
 
 
 def test_a_dead_job_may_still_be_done(journal: Journal) -> None:
-    journal.note_attempt(job_id(1), 3)
+    journal.note_failures(job_id(1), 3)
     journal.note_outcome(rejection(1, "dead_letter"), JobState.DEAD)
     journal.note_outcome(loop(1), JobState.DONE)
     known = journal.recall(job_id(1))
-    assert (known.attempts, known.state) == (3, JobState.DONE)
+    assert (known.failures, known.state) == (3, JobState.DONE)
     assert isinstance(known.outcome, LoopClosure)
 
 
@@ -125,7 +125,7 @@ def test_one_owner_at_a_time(journal: Journal, path: Path) -> None:
 def test_what_could_not_be_written_counts_and_is_written_later(
     journal: Journal, reopen: Reopen
 ) -> None:
-    journal.note_attempt(job_id(1), 1)
+    journal.note_failures(job_id(1), 1)
     journal.commit()
     db = journal._file.db
     (pages,) = db.execute("PRAGMA page_count").fetchone()
@@ -137,12 +137,12 @@ def test_what_could_not_be_written_counts_and_is_written_later(
             journal.commit()
         assert caught.value.trouble is Trouble.DISK_FULL
         assert journal.recall(job_id(1)).state is JobState.DONE
-        assert journal.recall(job_id(1)).attempts == 1
+        assert journal.recall(job_id(1)).failures == 1
     db.execute("PRAGMA max_page_count = 1000000")
     journal.commit()
     journal = reopen()
     assert all(journal.recall(job_id(n)).state is JobState.DONE for n in range(200))
-    assert journal.recall(job_id(1)).attempts == 1
+    assert journal.recall(job_id(1)).failures == 1
 
 
 def test_a_job_whose_outcome_is_damaged_is_done_again(journal: Journal, reopen: Reopen) -> None:

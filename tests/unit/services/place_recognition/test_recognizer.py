@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from covinz import codec
 from covinz.config import ConfigError, FeatureKind, LoopSolverConfig, PlaceRecognitionConfig
 from covinz.types import FeatureType, Gap, Keyframe, KeyframeId, LogEntry, LoopJob
 from services.place_recognition.index import load_vocabulary
@@ -265,3 +266,28 @@ def test_solver_configuration_changes_every_id(
     (other,) = jobs_by_entry(world.recognizer(solver=strict), entries)[-1]
     assert plain.id != other.id and plain.seed != other.seed
     assert describe([plain])[0][1:] == describe([other])[0][1:]  # type: ignore[index]
+
+
+def test_keyframes_that_lost_their_features_take_no_part_and_the_rest_is_as_it_was(
+    world: Any, log_of: LogOf, kid: Kid
+) -> None:
+    visits = [*walk("a", [0, 1, 2, 3]), *walk("b", [8, 2, 9, 3])]
+    entries = log(world, log_of, visits)
+    found = [pairs(jobs) for jobs in jobs_by_entry(world.recognizer(), entries)]
+    assert found[5] == [(kid("b", 1), kid("a", 2))]
+    assert found[7] == [(kid("b", 3), kid("a", 3))]
+    kept = [
+        LogEntry(entry.log_index, codec.without_features(entry.item))
+        if entry.log_index < 2 and isinstance(entry.item, Keyframe)
+        else entry
+        for entry in entries
+    ]
+    recognizer, other = world.recognizer(), world.recognizer()
+    again = jobs_by_entry(recognizer, kept)
+    assert recognizer.counters["skipped.features_expired"] == 2
+    assert again[5] == []  # too few of the candidate's neighbours are left for its rig
+    named = {member.keyframe for jobs in again for job in jobs for member in job.cand_rig}
+    assert named <= {kid("a", 2), kid("a", 3), *(kid("b", seq) for seq in range(4))}
+    assert [[job.id for job in jobs] for jobs in jobs_by_entry(other, kept)] == [
+        [job.id for job in jobs] for jobs in again
+    ]

@@ -1,0 +1,79 @@
+"""How many jobs a second more workers do: with a wait in place of solving, and really solving."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.load_server import Server, running_server
+from benchmarks.load_uploads import Fleet, play
+from benchmarks.load_worker import WAIT_S
+
+# As fast as they are acknowledged.
+_AT_ONCE_HZ = 1e6
+
+
+def dispatch(recordings: Path, folder: Path, counts: Sequence[int] = (1, 8)) -> dict[str, Any]:
+    """Jobs a second of workers that wait 50 ms with every job.
+
+    The log and its jobs are there before, so that nothing but dispatching goes on.
+    """
+    log = folder / "log"
+    with running_server(log, workers=0) as server:
+        upload(server, recordings, robots=12, each=60, out=folder / "uploads.json")
+        server.wait_looked_up()
+        jobs = server.status("place_recognition").pending
+    rates = {}
+    for count in counts:
+        copy = folder / f"{count}"
+        shutil.copytree(log / "data", copy / "data")
+        with running_server(copy, workers=0, waiting=count) as server:
+            server.wait_looked_up()
+            rates[count] = _rate(server)
+    first, last = counts[0], counts[-1]
+    return {
+        "wait_ms": 1e3 * WAIT_S,
+        "jobs": jobs,
+        "jobs_per_s": {str(count): round(rate, 2) for count, rate in rates.items()},
+        "scaling": round(rates[last] / rates[first], 2),
+    }
+
+
+def solving(recordings: Path, folder: Path, counts: Sequence[int] = (1, 2)) -> dict[str, Any]:
+    """Jobs a second from the first upload to the last outcome, all processes at work."""
+    rates, jobs = {}, {}
+    for count in counts:
+        with running_server(folder / f"{count}", workers=count) as server:
+            began_s = time.monotonic()
+            upload(server, recordings, robots=12, each=40, out=folder / "uploads.json")
+            server.wait_looked_up(jobs_done=True)
+            jobs[count] = server.jobs_done()
+            rates[count] = jobs[count] / (time.monotonic() - began_s)
+    first, last = counts[0], counts[-1]
+    return {
+        "jobs": jobs[first],
+        "jobs_per_s": {str(count): round(rate, 2) for count, rate in rates.items()},
+        "scaling": round(rates[last] / rates[first], 2),
+    }
+
+
+def upload(server: Server, recordings: Path, robots: int, each: int, out: Path) -> None:
+    """Let robots send all they have, as fast as the server takes it."""
+    fleet = Fleet(robots, _AT_ONCE_HZ, each / _AT_ONCE_HZ)
+    player = play(server, recordings, (0, robots), time.monotonic(), fleet, out, linger_s=0.0)
+    if player.wait():
+        raise RuntimeError(f"robots ended with {player.returncode}")
+
+
+def _rate(server: Server, seconds: float = 8.0) -> float:
+    """Outcomes a second, once all workers have had some jobs."""
+    time.sleep(1.0)
+    before, began_s = server.jobs_done(), time.monotonic()
+    time.sleep(seconds)
+    after, ended_s = server.jobs_done(), time.monotonic()
+    if not server.status("place_recognition").pending:
+        raise RuntimeError("the jobs ran out: there is nothing to measure")
+    return (after - before) / (ended_s - began_s)
