@@ -12,6 +12,7 @@
 
 #include "covinz/motion_tail.h"
 #include "matched_rigs.h"
+#include "rig_adjustment.h"
 #include "rig_choice.h"
 #include "rig_solution.h"
 #include "stage_clock.h"
@@ -65,12 +66,13 @@ std::optional<LoopRejection> CheckUnambiguous(const LoopProblem& problem,
 }
 
 // Whether odometry can be as wrong as the solution needs it to be.
-std::optional<LoopRejection> CheckMotions(const LoopProblem& problem,
-                                          const RigSolution& solution,
+std::optional<LoopRejection> CheckMotions(const RigSolution& solution,
                                           const FastLoopOptions& options) {
-  const size_t num_motions = problem.cand.motions.size() + problem.query.motions.size();
-  const double probability = MotionCostTail(
-      solution.score.motion_cost, static_cast<int>(num_motions), options.refinement.motion_dof);
+  std::vector<double> costs;
+  for (const Vector6d& residual : solution.refinement.motion_residuals) {
+    costs.push_back(MotionLoss(residual.squaredNorm(), options.refinement).cost);
+  }
+  const double probability = MotionProbability(costs, options.refinement.motion_dof);
   if (probability >= options.min_motion_probability) return std::nullopt;
   return LoopRejection{"motions", std::nullopt, probability, options.min_motion_probability};
 }
@@ -173,7 +175,7 @@ LoopResult Estimate(const LoopProblem& problem, const FastLoopOptions& options, 
   if (std::optional<LoopRejection> rejection = CheckUnambiguous(problem, solutions, options)) {
     return *rejection;
   }
-  if (std::optional<LoopRejection> rejection = CheckMotions(problem, solutions[0], options)) {
+  if (std::optional<LoopRejection> rejection = CheckMotions(solutions[0], options)) {
     return *rejection;
   }
   clock.Start("covariance");

@@ -45,6 +45,23 @@ TEST(MotionTail, OfThreeMotionsIsThatOfDrawnStudentResiduals) {
   }
 }
 
+TEST(MotionTail, OfTheLargestIsThatOfBetaVariables) {
+  const double b = std::exp(-4.0);
+  const double one = b * b * (6.0 - 8.0 * b + 3.0 * b * b);
+  EXPECT_NEAR(LargestMotionTail(40.0, 1, 4.0), one, 1e-12);
+  EXPECT_NEAR(LargestMotionTail(40.0, 3, 4.0), 1.0 - std::pow(1.0 - one, 3), 1e-12);
+  EXPECT_NEAR(LargestMotionTail(0.0, 3, 4.0), 1.0, 1e-12);
+}
+
+TEST(MotionTail, OneImpossibleMotionOrSeveralImprobableOnesAreRejected) {
+  EXPECT_EQ(MotionProbability({}, 4.0), 1.0);
+  EXPECT_EQ(MotionProbability({5.0, 8.0, 2.0}, 4.0), 1.0);
+  // One motion of eight standard deviations is what tails are for.
+  EXPECT_GT(MotionProbability({10.0 * std::log(1.0 + 6.4), 5.0, 5.0}, 4.0), 0.05);
+  EXPECT_LT(MotionProbability({52.0, 3.0, 3.0}, 4.0), 0.002);
+  EXPECT_LT(MotionProbability({38.0, 35.0, 4.0}, 4.0), 0.005);
+}
+
 TEST(MotionTail, FallsFromOne) {
   EXPECT_EQ(MotionCostTail(0.0, 3, 4.0), 1.0);
   double last = 1.0;

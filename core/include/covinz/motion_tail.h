@@ -1,6 +1,8 @@
 // How improbable it is that odometry is as wrong as a loop would have it.
 #pragma once
 
+#include <vector>
+
 namespace covinz {
 
 // Probability that the losses of `num_motions` motions of a rig (RigRefinementOptions.motion_dof)
@@ -15,5 +17,16 @@ namespace covinz {
 // independent random variables", Adv. Appl. Prob. 1980; Renyi, "On the theory of order statistics",
 // 1953 (logarithm of a Beta variable); decision 0025.
 double MotionCostTail(double cost, int num_motions, double dof);
+
+// Probability that the largest of the losses of `num_motions` motions is `cost` or more, likewise;
+// exact.
+double LargestMotionTail(double cost, int num_motions, double dof);
+
+// Probability of losses as improbable as these: twice the lesser one of the tails of their sum and
+// of their largest, so that one motion that is far off is seen as well as all being somewhat off. 1
+// at most.
+//
+// Source: Bonferroni's inequality.
+double MotionProbability(const std::vector<double>& costs, double dof);
 
 }  // namespace covinz
