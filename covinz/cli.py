@@ -27,6 +27,7 @@ from covinz import (
     durable,
     evaluation,
     export,
+    gaps,
     run,
     server_report,
     summary,
@@ -180,14 +181,19 @@ def why(
     credentials: CredentialsFile = None,
 ) -> None:
     """Say for a keyframe which candidates it had and why each did or did not become a loop."""
+    missing: list[str] = []
     if folder is not None:
         found = read_candidates(folder / "candidates.csv")
     else:
         with connected(endpoint, credentials) as bus:
             found = candidates(client.jobs(bus))
+            missing = [gaps.in_words(g) for g in client.gaps(bus) if gaps.concerns(g, keyframe)]
     rows = [row for row in found if row.concerns(keyframe)]
+    for line in missing:
+        _say(line)
     if not rows:
-        _say(f"no candidate was ever found for {keyframe}")
+        if not missing:
+            _say(f"no candidate was ever found for {keyframe}")
         return
     console.print(_why_table(rows))
 

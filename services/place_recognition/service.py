@@ -173,9 +173,11 @@ class PlaceRecognition:
         events = [] if first is None else [first, *inbox.drain(REQUESTS_PER_STEP - 1)]
         for event in events:
             self._handle(event)
+        # Who asked is answered before an entry is looked up, which takes longer than all of this.
+        self._desk.settle(self._clock_s())
         if self._pages and not self._holds_back:
             self._process_entry()
-        self._desk.settle(self._clock_s())
+            self._desk.settle(self._clock_s())
 
     def status(self) -> Status:
         """Cursor, open jobs, and what was found, skipped, accepted and rejected."""
