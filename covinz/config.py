@@ -238,6 +238,9 @@ class FastLoopConfig(Section):
     max_sigma_translation_m: Positive = 0.3
     # Accuracy of the motions inside the rigs where a robot sends no covariance.
     odometry: OdometryNoise = OdometryNoise()
+    # Time over which an image is exposed where its camera does not say: a rolling shutter read out
+    # over a whole frame, stamped anywhere in it. [s; one frame at 30 Hz; decision 0025]
+    readout_s: Annotated[float, Field(ge=0, le=1)] = 1 / 30
 
 
 class LoopSolverConfig(Section):
