@@ -81,7 +81,7 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
         Described(
             "rejected_jobs",
             "rejected.*",
-            "Jobs that did not, by stage; dead_letter: dead jobs.",
+            "Jobs that did not, by stage; given up: dead_letter, shed.",
             "stage",
             is_gauge=True,
         ),
@@ -111,6 +111,9 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
         ),
         Described("faulty_loops", "faulty_loops", "Loops left out of the maps.", is_gauge=True),
         Described("rejected_loops", "rejected_loops", "Loops refused."),
+        Described(
+            "recovered_loops", "recovered_loops", "Loops that came from the journal of jobs."
+        ),
         Described("foreign_loops", "loops_of_other_logs", "Loops of another log."),
         Described("jumps", "jumps", "Corrections that moved an agent far."),
         _CANNOT_STORE,

@@ -97,6 +97,13 @@ def _recognition(counters: Mapping[str, float]) -> Iterator[Finding]:
             f"{dead:g} jobs are given up: every worker that took them failed",
             "covinz jobs lists them; covinz jobs replay ID tries one again",
         )
+    if shed := counters.get("rejected.shed"):
+        yield Finding(
+            Verdict.ODD,
+            f"{shed:g} candidates were given up unverified, since too many waited",
+            "add loop solvers (covinz up --workers, compose --scale loop_solver=), or raise "
+            "place_recognition.max_pending_jobs",
+        )
     if other := counters.get("skipped.feature_type"):
         yield Finding(
             Verdict.BAD,

@@ -28,6 +28,7 @@ from services.place_recognition.desk import (
     Desk,
     JobsAsked,
     LeaseAsked,
+    LoopsAsked,
     OutcomeBrought,
     RetryAsked,
     WorkerBack,
@@ -228,6 +229,7 @@ class PlaceRecognition:
                 LeaseAsked()
                 | OutcomeBrought()
                 | JobsAsked()
+                | LoopsAsked()
                 | RetryAsked()
                 | WorkerGone()
                 | WorkerBack()
