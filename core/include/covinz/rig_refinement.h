@@ -8,6 +8,7 @@
 
 #include "covinz/bearing_residual.h"
 #include "covinz/instruction_set.h"
+#include "covinz/rig_exposure.h"
 #include "covinz/rig_tracks.h"
 #include "covinz/se3.h"
 
@@ -28,6 +29,9 @@ struct RefinedRig {
   std::vector<Eigen::Isometry3d> T_rig_cam;
   std::vector<double> focal_px;    // one pixel is 1 / focal radians
   std::vector<RigMotion> motions;  // must tie every camera to the first
+  // By camera; none where all images are of their stamps' very moments. Not looked at by the
+  // refinement, which takes motions as given: see MotionsBetweenImages.
+  std::vector<CameraExposure> exposures;
 
   void Check() const;  // throws std::invalid_argument
 };
