@@ -149,6 +149,9 @@ class Simulation:
             process.start()
         for incident in self._plan.incidents:
             self._scheduler.at(incident.at_s, functools.partial(self._befall, incident))
+            if incident.kind == "rolled_back":
+                backup_s = max(0.0, incident.at_s - incident.amount)
+                self._scheduler.at(backup_s, self._processes[incident.target].back_up)
         self._network.weather = self._plan.weather
         self._scheduler.at(FAULTS_S, self._mend)
         if self._plan.ends_with_router:
@@ -273,6 +276,10 @@ class Simulation:
                 if process.name == "ingest":
                     self._forgiven.update(name for robot in self._robots for name in robot.sent)
                 process.lose_disk(lasts_s)
+            case "rolled_back":
+                if process.name == "ingest":
+                    self._forgiven.update(name for robot in self._robots for name in robot.sent)
+                process.roll_back(lasts_s)
             case "disk_full":
                 process.fill_disk(lasts_s)
             case "clock_jump":
