@@ -122,6 +122,8 @@ class Simulation:
         self._evidence: Evidence | None = None
         ends = [one.at_s + one.lasts_s for one in plan.incidents]
         self._calm_s = max([FAULTS_S, *ends])
+        # What was sent before all was mended may still be on its way, e.g. that a link is back.
+        self._look_s = max(self._calm_s, FAULTS_S + plan.weather.max_lag_s) + CALM_S
         self._job_of: dict[str, str] = {}
         self._poison = ""
         # Keyframes that were on a disk which was lost, or may have been.
@@ -235,7 +237,7 @@ class Simulation:
         while times < 2:
             machine.sleep(1.0)
             is_idle = (
-                self._scheduler.now_s > self._calm_s + CALM_S
+                self._scheduler.now_s > self._look_s
                 and all(robot.is_done for robot in self._robots)
                 and all(process.is_running for process in self._processes.values())
                 and client.progress(bus).idle
