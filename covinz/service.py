@@ -34,7 +34,7 @@ from covinz.niceness import give_way
 from covinz.program import VERSION
 from covinz.telemetry import Telemetry
 from covinz.types import Status
-from covinz.watch import Guard, Watch
+from covinz.watch import Guard, Watch, end_with_failed_thread
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
 
@@ -91,8 +91,8 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     """Be a service process: parse arguments, call `run`, end the process.
 
     Exits with 0 after SIGTERM or SIGINT, with 2 for unusable arguments or configuration, with 1
-    when `run` raised or returned unasked, and with `covinz.watch.STUCK` when it was stuck: whoever
-    supervises starts it again.
+    when `run` raised or returned unasked or a thread failed, and with `covinz.watch.STUCK` when it
+    was stuck: whoever supervises starts it again.
 
     Args:
         name: Kind of process; its key expressions are ``covinz/service/{name}/{id}/...``.
@@ -112,13 +112,14 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     except (ConfigError, BusError, OSError) as error:
         logger.error("%s", error)
         sys.exit(2)
-    watch, ended = Watch(), threading.Event()
+    watch, stopping, ended = Watch(), threading.Event(), threading.Event()
+    end_with_failed_thread(stopping.is_set)
     guard = Guard(watch, Beats.of_process().send, config.health.hang_s)
     guard.start()
     telemetry = Telemetry()
 
     def arm(inbox: Inbox, _: Bus) -> None:
-        _stop_on_signal(ended, inbox, bus)
+        _stop_on_signal(stopping, ended, inbox, bus)
         ask = partial(_ask_status, inbox, THIS_MACHINE)
         probe = Probe(name, ask, bus, lambda: bus.is_connected, watch, telemetry)
         _tell_over_http(config.health, arguments.port_offset, probe)
@@ -134,6 +135,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
         watch=watch,
         telemetry=telemetry,
     )
+    stopping.set()
     ended.set()
     guard.stop()
     faulthandler.dump_traceback_later(LEAVE_S, exit=True)
@@ -250,10 +252,13 @@ def _drop_status_requests(inbox: Inbox) -> None:
             event.query.drop()
 
 
-def _stop_on_signal(ended: threading.Event, inbox: Inbox, bus: Bus) -> None:
+def _stop_on_signal(
+    stopping: threading.Event, ended: threading.Event, inbox: Inbox, bus: Bus
+) -> None:
     def wait() -> None:
         number = signal.sigwait({signal.SIGTERM, signal.SIGINT})
         logger.info("stopping on %s", signal.Signals(number).name)
+        stopping.set()
         inbox.stop()
         if not ended.wait(STOP_GRACE_S):
             bus.interrupt()

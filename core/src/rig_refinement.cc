@@ -115,6 +115,10 @@ void RefinedRig::Check() const {
       throw std::invalid_argument("RefinedRig: poses and focal lengths must be finite");
     }
   }
+  if (!exposures.empty() && exposures.size() != T_rig_cam.size()) {
+    throw std::invalid_argument("RefinedRig: one exposure for each camera, or none");
+  }
+  for (const CameraExposure& exposure : exposures) exposure.Check();
   std::vector<bool> tied(T_rig_cam.size(), false);
   tied[0] = true;
   for (const RigMotion& motion : motions) {

@@ -27,6 +27,8 @@ from covinz.types import (
     RigMember,
 )
 
+# [rad/s, m/s]: nothing of what place recognition says of a robot is faster.
+MAX_TWIST: Final = 1e3
 _WIRE_STATE: Final = {state: state.name.capitalize() for state in JobState}
 _STATE_OF_WIRE: Final = {name: state for state, name in _WIRE_STATE.items()}
 
@@ -37,6 +39,7 @@ def _member_fields(member: RigMember) -> Fields:
         "pose_odom_body": tuple(poses.pose_values(member.T_odom_body, "T_odom_body")),
         "camera_hash": values.text(member.camera_hash, "camera_hash", values.CAMERA_HASH),
         "motion_covariance": _motion_covariance(member.motion_covariance),
+        "twists": _twists(member.twists),
     }
 
 
@@ -44,6 +47,10 @@ def _motion_covariance(covariance: ArrayLike | None) -> NDArray[Any] | None:
     if covariance is None:
         return None
     return values.covariance(covariance, "motion_covariance", definite=True)
+
+
+def _twists(twists: ArrayLike | None) -> NDArray[Any] | None:
+    return None if twists is None else values.numbers(twists, "twists", 12, MAX_TWIST)
 
 
 def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
@@ -54,11 +61,13 @@ def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
 
 def _member(fields: Fields) -> RigMember:
     covariance = _motion_covariance(fields["motion_covariance"])
+    twists = _twists(fields["twists"])
     return RigMember(
         values.keyframe_id(fields["keyframe"]),
         poses.transforms(fields["pose_odom_body"], "T_odom_body"),
         values.text(fields["camera_hash"], "camera_hash", values.CAMERA_HASH),
         None if covariance is None else covariance.reshape(6, 6),
+        None if twists is None else twists.reshape(2, 6),
     )
 
 

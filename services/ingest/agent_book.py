@@ -5,18 +5,19 @@ Read by `covinz doctor`; nothing depends on it.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from covinz import codec, frames, keyexprs
+from covinz import codec, keyexprs
 from covinz.bus import Query
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.plausibility import complaints
 from covinz.program import VERSION
-from covinz.types import Camera, Keyframe, Status
+from covinz.types import Array, Camera, Keyframe, KeyframeId, Status
 
 # Agents that are remembered; names that nobody has may be made up without end.
 MAX_AGENTS = 1000
@@ -26,6 +27,15 @@ RECENT = 32
 STILL_M, STILL_RAD = 0.01, 0.01
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    """A keyframe without its features, which would be kept alive."""
+
+    id: KeyframeId
+    stamp_ns: int
+    T_odom_body: Array
+
+
 @dataclass(slots=True, eq=False)
 class _Page:
     """Of one agent."""
@@ -33,7 +43,7 @@ class _Page:
     counts: Counter[str] = field(default_factory=Counter)
     ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     arrived_ns: int = 0
-    last: Keyframe | None = None
+    last: _Pose | None = None
 
 
 class AgentBook:
@@ -64,13 +74,14 @@ class AgentBook:
             page.counts["keyframes"] += 1
             num_features = sum(len(block) for block in kf.all_features)
             page.counts["few_features"] += num_features < self._min_features
-            last, page.last = page.last, codec.without_features(kf)
+            pose = _Pose(kf.id, kf.stamp_ns, kf.T_odom_body)
+            last, page.last = page.last, pose
             if last is None or last.id.session != kf.id.session:
                 page.counts["sessions"] += 1
                 return
             forward = kf.id.seq - last.id.seq
             page.counts["stamps_back"] += forward * (kf.stamp_ns - last.stamp_ns) < 0
-            page.counts["still"] += _is_still(last, kf)
+            page.counts["still"] += _is_still(last, pose)
 
     def refused(self, agent: str, code: str) -> None:
         """An upload was rejected."""
@@ -123,7 +134,9 @@ class AgentBook:
         return self._pages.get(agent)
 
 
-def _is_still(last: Keyframe, kf: Keyframe) -> bool:
-    step = frames.inverse(last.T_odom_body) @ kf.T_odom_body
-    moved_m, turned_rad = np.linalg.norm(step[:3, 3]), float(frames.rotation_angle(step))
-    return bool(moved_m < STILL_M and turned_rad < STILL_RAD)
+def _is_still(last: _Pose, pose: _Pose) -> bool:
+    before, after = last.T_odom_body, pose.T_odom_body
+    moved_m = math.dist(before[:3, 3], after[:3, 3])
+    # The trace of the rotation between both.
+    trace = float(np.vdot(before[:3, :3], after[:3, :3]))
+    return moved_m < STILL_M and trace > 1 + 2 * math.cos(STILL_RAD)

@@ -48,7 +48,7 @@ from services.optimizer.doors import (
 from services.optimizer.loop_store import LoopStore, StoreUnavailable
 from services.optimizer.lost_loops import LoopsFound, LostLoops
 from services.optimizer.maps import Maps
-from services.optimizer.optimisation import Optimise, optimise
+from services.optimizer.optimisation import MapEstimate, Optimise, optimise
 from services.optimizer.unsent import Unsent
 from services.optimizer.worker import OptimisationCrashed, OptimisationThread, Optimised
 
@@ -83,11 +83,19 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
             context.telemetry.observe("optimizer_optimisation", event.duration_ms / 1e3)
         deliver(event)
 
+    optimising = context.watch.work("an optimisation", context.config.health.optimisation_s)
+
+    def run_limited(component: Component, config: OptimizerConfig) -> MapEstimate:
+        with optimising:
+            return run_one(component, config)
+
     with ExitStack() as stack:
         path = context.data_dir / "optimizer.sqlite"
         store = rebuildable(path, lambda: LoopStore(path), DamagedFile)
         stack.enter_context(closing(store))
-        thread = stack.enter_context(closing(OptimisationThread(config, finish, machine, run_one)))
+        thread = stack.enter_context(
+            closing(OptimisationThread(config, finish, machine, run_limited))
+        )
         lost_loops = LostLoops(context.bus, deliver, machine)
         stack.callback(lost_loops.close)
         optimizer = Optimizer(

@@ -75,6 +75,13 @@ RIG_MOTION_JOB = dataclasses.replace(
         *LOOP_JOB.query_rig[1:],
     ),
 )
+RIG_TWISTS_JOB = dataclasses.replace(
+    RIG_MOTION_JOB,
+    cand_rig=tuple(
+        dataclasses.replace(member, twists=np.arange(12.0).reshape(2, 6) / 8)
+        for member in LOOP_JOB.cand_rig
+    ),
+)
 SUMMARY = types.MapSummary(
     OLD, 12, (SegmentId("robot_1", OLD), SegmentId("robot-2", NEW)), 3, 1
 )  # fmt: skip
@@ -95,6 +102,9 @@ EXAMPLES: dict[str, Any] = {
     "Camera": types.Camera(
         "OPENCV", 640, 480, np.array([525, 526, 319.5, 239.5, 0.1, -0.2, 0.001, 0]),
         quarter_turn(0.05, 0, 0.1),
+    ),
+    "Camera-readout": types.Camera(
+        "PINHOLE", 640, 480, np.array([525, 526, 319.5, 239.5]), quarter_turn(0, 0, 0), 0.0
     ),
     "Keyframe": KEYFRAME,
     "Keyframe-sift": types.Keyframe(CAND, 0, turn(0, 0, 0), HASH, SIFT),
@@ -119,6 +129,7 @@ EXAMPLES: dict[str, Any] = {
     "Lease-of_a_log": types.Lease(LOOP_JOB, "worker-1", 2, 60.0, NEW),
     "LoopJob": LOOP_JOB,
     "LoopJob-motions": RIG_MOTION_JOB,
+    "LoopJob-twists": RIG_TWISTS_JOB,
     "LoopClosure": LOOP,
     "LoopClosure-fast": FAST_LOOP,
     "LoopClosure-of_a_log": dataclasses.replace(LOOP, log_id=NEW),

@@ -158,6 +158,7 @@ def test_what_a_server_counts_is_judged() -> None:
         "waiting": 7.0,
         "rejected.dead_letter": 2.0,
         "rejected.scale": 40.0,
+        "rejected.shed": 9.0,
         "skipped.feature_type": 5.0,
     }
     serve(hub.join(), "place_recognition", counters)
@@ -168,8 +169,9 @@ def test_what_a_server_counts_is_judged() -> None:
     assert "2 jobs are given up" in bad
     assert "5 keyframes only have kinds of features that are not in use" in bad
     assert "7 candidates wait: their keyframes have not moved enough" in odd
-    assert "of 42 candidates none became a loop, most: scale" in odd
+    assert "of 51 candidates none became a loop, most: scale" in odd
     assert "3 loops are left out" in odd
+    assert "9 candidates were given up unverified" in odd
 
 
 def test_a_calibration_file_is_looked_at(tmp_path: Path) -> None:
