@@ -159,13 +159,7 @@ class SpoolWriter:
 
     def _run(self) -> None:
         while batch := self._next():
-            error: SpoolError | None = None
-            try:
-                self._spool.append([handed.entry for handed in batch])
-            except SpoolError as failure:
-                error = failure
-                if self._failure is None:
-                    logger.error("cannot write keyframes to the disk: %s", error)
+            error = self._write(batch)
             with self._changed:
                 if error is None:
                     self._saved(batch)
@@ -174,6 +168,19 @@ class SpoolWriter:
                 self._changed.notify_all()
             if error is None:
                 self._on_saved()
+
+    def _write(self, batch: list[_Handed]) -> SpoolError | None:
+        """Write to the disk; what is wrong, if it fails."""
+        try:
+            self._spool.append([handed.entry for handed in batch])
+        except SpoolError as error:
+            if self._failure is None:
+                logger.error("cannot write keyframes to the disk: %s", error)
+            return error
+        except Exception as error:  # a mistake of ours must not end the thread
+            logger.exception("cannot write keyframes to the disk")
+            return SpoolError(f"cannot write keyframes to the disk: {error}")
+        return None
 
     def _next(self) -> list[_Handed]:
         """All that waits, once there is something; nothing at the end."""

@@ -135,6 +135,9 @@ class Uploader:
             except SpoolError as error:
                 self._complain("cannot read the calibration of an upload: %s", error)
                 answer = None
+            except Exception:  # a mistake of ours or of the bus must not end the uploads for good
+                logger.exception("an upload failed and will be tried again")
+                answer = None
             timed_out = self._clock_s() - started >= self._config.ack_timeout_s
             is_settled = self._settle(row, answer)
             self._done(row.position, answer, is_settled, timed_out)
