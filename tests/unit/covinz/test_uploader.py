@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import time
 from pathlib import Path
 
 from covinz import codec, keyexprs
@@ -91,6 +92,31 @@ def test_no_mistake_ends_the_uploads(tmp_path: Path) -> None:
     uploader.start()
     assert uploader.wait_empty(WAIT_S)
     uploader.stop(WAIT_S)
+    spool.close()
+    robot.close()
+    server.close()
+
+
+def test_a_keyframe_whose_calibration_is_lost_stops_nobody(tmp_path: Path) -> None:
+    hub = Hub()
+    server, robot = hub.join(), hub.join()
+    for key in (keyexprs.AGENT_CAMERAS, keyexprs.AGENT_KEYFRAMES):
+        server.answer(key, lambda query: query.reply(codec.encode(Stored())))
+    spool = Spool(tmp_path / "spool", "a0", AgentConfig())
+    for seq, camera in enumerate(["lost", CAMERA.hash, CAMERA.hash]):
+        name = keyframe(seq).id
+        spool.append([SpoolEntry(name, 0, message(seq), camera, codec.encode(CAMERA))])
+    spool._file.db.execute("DELETE FROM camera WHERE hash = 'lost'")
+    config = AgentConfig(window=1, min_backoff_s=0.001, max_backoff_s=0.01)
+    uploader = Uploader(robot, spool, "a0", config, lambda row, answer: None)
+    uploader.start()
+    deadline = time.monotonic() + WAIT_S
+    while len(spool) > 1 and time.monotonic() < deadline:
+        uploader.wait_empty(0.01)
+    assert len(spool) == 1
+    uploader.stop(WAIT_S)
+    row = spool.take()
+    assert row is not None and row.first_seq == 0
     spool.close()
     robot.close()
     server.close()
