@@ -55,7 +55,9 @@ from services.loop_solver.solver import LoopSolver
 
 METHODS = ("paper", "fast", "pnp")
 # Rejections of a pose that was estimated: it is not clear, not certain or not near enough.
-_ESTIMATED = {"ambiguous", "uncertainty", "scale", "covariance", "translation", "rotation"}
+_ESTIMATED = {
+    *("ambiguous", "uncertainty", "scale", "motions", "covariance", "translation", "rotation")
+}
 
 # What the methods made of one attempt.
 Turn = Mapping[str, Timed]

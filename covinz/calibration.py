@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from covinz import frames
 from covinz.config import ConfigError, PositiveInt, Section, read_yaml, validate
@@ -25,6 +26,9 @@ class CalibrationFile(Section):
     params: tuple[float, ...]
     # Pose of the camera in the body frame, 16 numbers row by row.
     T_body_cam: tuple[float, ...] = tuple(np.eye(4).ravel().tolist())
+    # Seconds from the exposure of the first row to that of the last; 0: a global shutter, stamped
+    # at the middle of the exposure. Absent when unknown. [docs/agents.md]
+    readout_s: Annotated[float, Field(ge=0, le=1)] | None = None
 
 
 def read_camera(path: Path, image_size: tuple[int, int]) -> Camera:
@@ -70,6 +74,7 @@ def camera_of(entries: CalibrationFile, origin: str) -> Camera:
         entries.height,
         _checked_params(np.array(entries.params), origin),
         _T_body_cam(entries, origin),
+        entries.readout_s,
     )
 
 

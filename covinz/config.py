@@ -238,6 +238,9 @@ class FastLoopConfig(Section):
     max_sigma_translation_m: Positive = 0.3
     # Accuracy of the motions inside the rigs where a robot sends no covariance.
     odometry: OdometryNoise = OdometryNoise()
+    # Time over which an image is exposed where its camera does not say: a rolling shutter read out
+    # over a whole frame, stamped anywhere in it. [s; one frame at 30 Hz; decision 0025]
+    readout_s: Annotated[float, Field(ge=0, le=1)] = 1 / 30
 
 
 class LoopSolverConfig(Section):
@@ -332,6 +335,9 @@ class HealthConfig(Section):
     # A process whose main loop is busy with one step for longer ends itself, to be started again.
     # [s; the longest right one is the answer with a map of 100,000 keyframes: seconds]
     hang_s: Positive = 60.0
+    # The same for one optimisation of a map. [s; 2,500 keyframes with 4,050 loops take 3 s:
+    # decision 0023]
+    optimisation_s: Positive = 900.0
     # Port of this process's /healthz, /readyz and /metrics; None: none, 0: any, said in the log.
     # `covinz up` gives its processes this one and the following, in the order of `covinz status`.
     port: Annotated[int, Field(ge=0, lt=2**16)] | None = None

@@ -16,12 +16,12 @@ import socket
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from covinz import codec, keyexprs
 from covinz import config as configuration
-from covinz import keyexprs
 from covinz.beats import Beats
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError, HealthConfig
@@ -31,8 +31,10 @@ from covinz.inbox import Inbox, Stopped
 from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.niceness import give_way
+from covinz.program import VERSION
 from covinz.telemetry import Telemetry
-from covinz.watch import Guard, Watch
+from covinz.types import Status
+from covinz.watch import Guard, Watch, end_with_failed_thread
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
 
@@ -47,9 +49,15 @@ LEAVE_S = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatusRequest:
-    """Somebody asks how far this process is: ``event.query.reply(encode(Status(...)))``."""
+    """Somebody asks how far this process is: ``event.answer(Status(...))``."""
 
     query: Query
+    machine: Machine = THIS_MACHINE
+
+    def answer(self, status: Status) -> None:
+        """Answer, with the version of this program and its clock."""
+        told = replace(status, version=VERSION, now_ns=self.machine.now_ns())
+        self.query.reply(codec.encode(told))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,8 +91,8 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     """Be a service process: parse arguments, call `run`, end the process.
 
     Exits with 0 after SIGTERM or SIGINT, with 2 for unusable arguments or configuration, with 1
-    when `run` raised or returned unasked, and with `covinz.watch.STUCK` when it was stuck: whoever
-    supervises starts it again.
+    when `run` raised or returned unasked or a thread failed, and with `covinz.watch.STUCK` when it
+    was stuck: whoever supervises starts it again.
 
     Args:
         name: Kind of process; its key expressions are ``covinz/service/{name}/{id}/...``.
@@ -104,14 +112,15 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     except (ConfigError, BusError, OSError) as error:
         logger.error("%s", error)
         sys.exit(2)
-    watch, ended = Watch(), threading.Event()
+    watch, stopping, ended = Watch(), threading.Event(), threading.Event()
+    end_with_failed_thread(stopping.is_set)
     guard = Guard(watch, Beats.of_process().send, config.health.hang_s)
     guard.start()
     telemetry = Telemetry()
 
     def arm(inbox: Inbox, _: Bus) -> None:
-        _stop_on_signal(ended, inbox, bus)
-        ask = partial(_ask_status, inbox)
+        _stop_on_signal(stopping, ended, inbox, bus)
+        ask = partial(_ask_status, inbox, THIS_MACHINE)
         probe = Probe(name, ask, bus, lambda: bus.is_connected, watch, telemetry)
         _tell_over_http(config.health, arguments.port_offset, probe)
 
@@ -126,6 +135,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
         watch=watch,
         telemetry=telemetry,
     )
+    stopping.set()
     ended.set()
     guard.stop()
     faulthandler.dump_traceback_later(LEAVE_S, exit=True)
@@ -168,7 +178,7 @@ def serve_on(
         inbox = Inbox(on_first_take=announce, machine=machine, owner=owner)
         stack.callback(_drop_status_requests, inbox)
         status_key = keyexprs.service_status(name, instance)
-        status = bus.answer(status_key, lambda query: _ask_status(inbox, query))
+        status = bus.answer(status_key, partial(_ask_status, inbox, machine))
         stack.callback(status.close)
         arm(inbox, bus)
         try:
@@ -231,8 +241,8 @@ def _tell_over_http(config: HealthConfig, offset: int, probe: Probe) -> None:
         logger.error("no health and metrics at %s:%d: %s", config.address, port, error)
 
 
-def _ask_status(inbox: Inbox, query: Query) -> None:
-    if not inbox.put_always(StatusRequest(query)):
+def _ask_status(inbox: Inbox, machine: Machine, query: Query) -> None:
+    if not inbox.put_always(StatusRequest(query, machine)):
         query.drop()
 
 
@@ -242,10 +252,13 @@ def _drop_status_requests(inbox: Inbox) -> None:
             event.query.drop()
 
 
-def _stop_on_signal(ended: threading.Event, inbox: Inbox, bus: Bus) -> None:
+def _stop_on_signal(
+    stopping: threading.Event, ended: threading.Event, inbox: Inbox, bus: Bus
+) -> None:
     def wait() -> None:
         number = signal.sigwait({signal.SIGTERM, signal.SIGINT})
         logger.info("stopping on %s", signal.Signals(number).name)
+        stopping.set()
         inbox.stop()
         if not ended.wait(STOP_GRACE_S):
             bus.interrupt()

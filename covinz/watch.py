@@ -25,6 +25,8 @@ TICK_S = 1.0
 FROZEN_S = 5.0
 # The exit code of a process that ended itself because it was stuck.
 STUCK = 70
+# The same of one of which a thread has failed.
+FAILED = 1
 
 
 class Work:
@@ -157,3 +159,20 @@ def end_process(stuck: Work) -> None:
     )
     faulthandler.dump_traceback(all_threads=True)
     os._exit(STUCK)
+
+
+def end_with_failed_thread(is_ending: Callable[[], bool]) -> None:
+    """Let a thread that fails end its process, which nobody would notice to lack it otherwise.
+
+    Args:
+        is_ending: Whether the process ends anyway, and threads may fail for it.
+    """
+
+    def failed(arguments: threading.ExceptHookArgs) -> None:
+        name = arguments.thread.name if arguments.thread else "a thread"
+        error = arguments.exc_value
+        logger.critical("%s failed: %r", name, error, exc_info=error)
+        if not is_ending():
+            os._exit(FAILED)
+
+    threading.excepthook = failed

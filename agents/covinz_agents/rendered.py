@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 
@@ -58,7 +59,9 @@ class RenderedRobot:
             Frame(int(row), int(self._truth.stamps_ns[row]), T, self._gravity(int(row)))
             for row, T in zip(self._rows, T_odom_body, strict=True)
         ]
-        self._visit = visit(self._world, agent.look, self._camera, agent.sensor)
+        # What is said of the shutter is no part of the lens.
+        lens = dataclasses.replace(self._camera, readout_s=None)
+        self._visit = visit(self._world, agent.look, lens, agent.sensor)
         self._studio = pictures or studio()
 
     @property

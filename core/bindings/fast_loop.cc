@@ -92,6 +92,7 @@ void BindFastLoopOptions(nb::module_& m) {
       .def_rw("min_num_inliers", &FastLoopOptions::min_num_inliers)
       .def_rw("min_baseline_m", &FastLoopOptions::min_baseline_m)
       .def_rw("min_baseline_sigmas", &FastLoopOptions::min_baseline_sigmas)
+      .def_rw("min_motion_probability", &FastLoopOptions::min_motion_probability)
       .def_rw("max_sigma_translation_m", &FastLoopOptions::max_sigma_translation_m)
       .def_rw("max_translation_m", &FastLoopOptions::max_translation_m)
       .def_rw("max_rotation_rad", &FastLoopOptions::max_rotation_rad)
@@ -111,13 +112,29 @@ void BindRigs(nb::module_& m) {
           "from_camera"_a, "to_camera"_a, "covariance"_a,
           "Positions in the rig; covariance (6, 6) of the right perturbation of their relative\n"
           "pose in the frame of to_camera, [rotation, translation], [rad, m].");
+  nb::class_<CameraExposure>(m, "CameraExposure", "How a camera moved while it took its image.")
+      .def(
+          "__init__",
+          [](CameraExposure* self, const Vector6d& twist_before, const Vector6d& twist_after,
+             double stamp_sigma_s, double row_s) {
+            new (self) CameraExposure{twist_before, twist_after, stamp_sigma_s, row_s};
+          },
+          "twist_before"_a, "twist_after"_a, "stamp_sigma_s"_a, "row_s"_a,
+          "Twists (6,) of the camera in its own frame, [rotation, translation], [rad/s, m/s], "
+          "before\n"
+          "and after its stamp; standard deviation of the time from the stamp to the middle of "
+          "the\n"
+          "image; time from a row to the next.");
   nb::class_<LoopRig>(m, "LoopRig", "Keyframes of one session, the reference first.")
       .def(
           "__init__",
-          [](LoopRig* self, std::vector<RigCamera> cameras, std::vector<RigMotion> motions) {
-            new (self) LoopRig{std::move(cameras), std::move(motions)};
+          [](LoopRig* self, std::vector<RigCamera> cameras, std::vector<RigMotion> motions,
+             std::vector<CameraExposure> exposures) {
+            new (self) LoopRig{std::move(cameras), std::move(motions), std::move(exposures)};
           },
-          "cameras"_a, "motions"_a, "The motions must tie every camera to the first.");
+          "cameras"_a, "motions"_a, "exposures"_a = std::vector<CameraExposure>{},
+          "The motions must tie every camera to the first; exposures by camera, none where all\n"
+          "images are of their stamps' very moments.");
 }
 
 }  // namespace

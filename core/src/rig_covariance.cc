@@ -2,6 +2,7 @@
 #include "covinz/rig_covariance.h"
 
 #include <algorithm>
+#include <array>
 #include <climits>
 #include <cmath>
 #include <stdexcept>
@@ -132,15 +133,52 @@ struct Row {
   Eigen::Matrix<double, 2, 6> J_cam;
   Eigen::Matrix<double, 2, 3> J_point;
   Eigen::Vector2d error;
+  Eigen::Vector2d shift;  // what the time from the middle row to the keypoint's does
   double root_weight;
   Eigen::Index camera;  // its first unknown, negative for camera 0
+  Eigen::Index rig;     // 0 of the candidate, 1 of the query
   Eigen::Index x;       // its cell's errors
   Eigen::Index y;
 };
 
+// The cameras' exposures as RigAdjustment numbers them, with focal lengths [px].
+struct Shutter {
+  // A camera's motion for a unit of the bearing's slope down, above the middle row and below it.
+  std::vector<std::array<Vector6d, 2>> motion_per_unit;
+  int num_cand = 0;
+
+  bool empty() const { return motion_per_unit.empty(); }
+};
+
+Shutter ShutterOf(const RefinedRig& cand, const RefinedRig& query) {
+  Shutter shutter;
+  shutter.num_cand = static_cast<int>(cand.T_rig_cam.size());
+  if (cand.exposures.empty() && query.exposures.empty()) return shutter;
+  for (const RefinedRig* rig : {&cand, &query}) {
+    for (size_t c = 0; c < rig->T_rig_cam.size(); ++c) {
+      const CameraExposure exposure = rig->exposures.empty() ? CameraExposure{} : rig->exposures[c];
+      const double unit_s = rig->focal_px[c] * exposure.row_s;
+      shutter.motion_per_unit.push_back(
+          {unit_s * exposure.twist_before, unit_s * exposure.twist_after});
+    }
+  }
+  return shutter;
+}
+
+// Rows are those of a pinhole; where the lens bends them the shift is that much off.
+Eigen::Vector2d ShiftOf(const Shutter& shutter,
+                        const BearingMeasurement& measured,
+                        const Eigen::Matrix<double, 2, 6>& J_cam) {
+  if (shutter.empty()) return Eigen::Vector2d::Zero();
+  const double slope = measured.bearing.y() / std::max(measured.bearing.z(), 0.1);
+  const size_t c = static_cast<size_t>(measured.camera);
+  return slope * (J_cam * shutter.motion_per_unit[c][slope < 0.0 ? 0 : 1]);
+}
+
 void FillRows(const RigAdjustment& problem,
               const RigAdjustmentState& state,
               const Cells& cells,
+              const Shutter& shutter,
               size_t track,
               std::vector<Row>& rows) {
   const InverseDistancePoint& point = state.points[track];
@@ -152,9 +190,10 @@ void FillRows(const RigAdjustment& problem,
     const BearingResidual residual = EvaluateBearing(
         measured, point, basis, state.T_world_cam[static_cast<size_t>(measured.camera)]);
     const double root = std::sqrt(KeypointWeight(problem, residual));
-    rows.push_back({root * residual.J_cam, root * residual.J_point, root * residual.error, root,
-                    6 * (static_cast<Eigen::Index>(measured.camera) - 1), cells.XError(n),
-                    cells.YError(n)});
+    rows.push_back({root * residual.J_cam, root * residual.J_point, root * residual.error,
+                    root * ShiftOf(shutter, measured, residual.J_cam), root,
+                    6 * (static_cast<Eigen::Index>(measured.camera) - 1),
+                    measured.camera < shutter.num_cand ? 0 : 1, cells.XError(n), cells.YError(n)});
   }
 }
 
@@ -163,8 +202,10 @@ struct CellSums {
   Eigen::MatrixXd coupling;  // A: camera unknowns x cell errors
   Eigen::MatrixXf kernel;    // K; single precision is far more than a variance of it needs
   Eigen::VectorXd residual;  // C^T e
-  double residual2 = 0.0;    // e^T e
-  double dof = 0.0;          // tr(M)
+  // G: what the shutters of the candidate's and of the query's cameras do to the gradient.
+  Eigen::Matrix<double, Eigen::Dynamic, 2> shutter;
+  double residual2 = 0.0;  // e^T e
+  double dof = 0.0;        // tr(M)
 };
 
 void AddTrack(const std::vector<Row>& rows, Eigen::Matrix3d information, CellSums& sums) {
@@ -182,6 +223,9 @@ void AddTrack(const std::vector<Row>& rows, Eigen::Matrix3d information, CellSum
         left += Eigen::Matrix2d::Identity();
         sums.dof += left.trace();
       }
+      if (a.camera >= 0) {
+        sums.shutter.block<6, 1>(a.camera, b.rig) += a.J_cam.transpose() * (left * b.shift);
+      }
       left *= b.root_weight;
       if (a.camera >= 0) {
         const Eigen::Matrix<double, 6, 2> coupling = a.J_cam.transpose() * left;
@@ -198,14 +242,16 @@ void AddTrack(const std::vector<Row>& rows, Eigen::Matrix3d information, CellSum
 
 CellSums SumCells(const RigAdjustment& problem,
                   const RigAdjustmentState& state,
-                  const Cells& cells) {
+                  const Cells& cells,
+                  const Shutter& shutter) {
   CellSums sums;
+  sums.shutter.setZero(problem.NumCameraUnknowns(), 2);
   sums.coupling = Eigen::MatrixXd::Zero(problem.NumCameraUnknowns(), cells.NumErrors());
   sums.kernel = Eigen::MatrixXf::Zero(cells.NumErrors(), cells.NumErrors());
   sums.residual = Eigen::VectorXd::Zero(cells.NumErrors());
   std::vector<Row> rows;
   for (size_t t = 0; t < problem.NumTracks(); ++t) {
-    FillRows(problem, state, cells, t, rows);
+    FillRows(problem, state, cells, shutter, t, rows);
     AddTrack(rows, problem.PointInformation(), sums);
   }
   return sums;
@@ -284,7 +330,7 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   const Eigen::MatrixXd inverse = system.hessian.ldlt().solve(Eigen::MatrixXd::Identity(n, n));
 
   const Cells cells(problem, options);
-  CellSums sums = SumCells(problem, state, cells);
+  CellSums sums = SumCells(problem, state, cells, ShutterOf(cand, query));
   // The cameras take their share of the errors as well.
   const Eigen::MatrixXd influence = inverse * sums.coupling;
   sums.kernel.noalias() -= sums.coupling.cast<float>().transpose() * influence.cast<float>();
@@ -299,11 +345,13 @@ RefinementCovariance EstimateRefinementCovariance(const RefinedRig& cand,
   // must not make it indefinite.
   const Matrix6d whole = inverse.block<6, 6>(q, q);
   const double excess = variance.independent - 1.0;
+  const Eigen::Matrix<double, 6, 2> shutter = rows * sums.shutter;
   const Matrix6d camera =
       (excess < 0.0
            ? Matrix6d(variance.independent * whole - excess * (rows * H_prior * rows.transpose()))
            : Matrix6d(whole + excess * (rows * H_keypoints * rows.transpose()))) +
-      variance.shared * cells.TimesCorrelation(cells_rows) * cells_rows.transpose();
+      variance.shared * cells.TimesCorrelation(cells_rows) * cells_rows.transpose() +
+      shutter * shutter.transpose();
   const Matrix6d Ad = AdjointSE3(query.T_rig_cam[0]);
   const auto to_body = [&Ad](const Matrix6d& of_camera) {
     const Matrix6d moved = Ad * of_camera * Ad.transpose();

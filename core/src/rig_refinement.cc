@@ -37,14 +37,17 @@ int Minimize(const RigAdjustment& problem,
   ReducedSystem system, next_system;
   cost = Linearize(problem, state, damping, system);
   int iteration = 0;
+  // Lowered right after it had to be raised, the damping would have to be raised again.
+  bool raised = false;
   while (iteration < options.max_num_iterations) {
     ++iteration;
     RigAdjustmentState next = Step(problem, state, system);
-    const double lower_damping = std::max(1e-8, 0.1 * damping);
+    const double lower_damping = raised ? damping : std::max(1e-8, 0.1 * damping);
     const double next_cost = Linearize(problem, next, lower_damping, next_system);
     if (!(next_cost < cost)) {
       if (!(damping < 1e3)) break;
       damping *= 10.0;
+      raised = true;
       Linearize(problem, state, damping, system);
       continue;
     }
@@ -53,6 +56,7 @@ int Minimize(const RigAdjustment& problem,
     std::swap(system, next_system);
     cost = next_cost;
     damping = lower_damping;
+    raised = false;
     if (decrease < options.min_relative_decrease * cost) break;
   }
   return iteration;
@@ -111,6 +115,10 @@ void RefinedRig::Check() const {
       throw std::invalid_argument("RefinedRig: poses and focal lengths must be finite");
     }
   }
+  if (!exposures.empty() && exposures.size() != T_rig_cam.size()) {
+    throw std::invalid_argument("RefinedRig: one exposure for each camera, or none");
+  }
+  for (const CameraExposure& exposure : exposures) exposure.Check();
   std::vector<bool> tied(T_rig_cam.size(), false);
   tied[0] = true;
   for (const RigMotion& motion : motions) {

@@ -3,13 +3,16 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <limits>
 #include <stdexcept>
 #include <utility>
 
 #include <Eigen/Cholesky>
 
+#include "covinz/motion_tail.h"
 #include "matched_rigs.h"
+#include "rig_adjustment.h"
 #include "rig_choice.h"
 #include "rig_solution.h"
 #include "stage_clock.h"
@@ -24,14 +27,22 @@ RefinedRig RigOf(const LoopRig& rig) {
     result.focal_px.push_back(camera.focal_px);
   }
   result.motions = rig.motions;
+  result.exposures = rig.exposures;
+  result.Check();
+  result.motions = MotionsBetweenImages(result);
   return result;
 }
 
+// Of the poses at the stamps; the refinement is of the images.
 RefinementCovariance CovarianceOf(const LoopProblem& problem,
                                   const RigSolution& solution,
                                   const FastLoopOptions& options) {
-  return EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
-                                      solution.refinement, options.refinement, options.covariance);
+  RefinementCovariance found =
+      EstimateRefinementCovariance(problem.cand, problem.query, solution.tracks,
+                                   solution.refinement, options.refinement, options.covariance);
+  found.covariance +=
+      StampCovariance(problem.cand, problem.query, solution.refinement.T_cand_query);
+  return found;
 }
 
 LoopSolution Report(const LoopProblem& problem,
@@ -52,6 +63,18 @@ std::optional<LoopRejection> CheckUnambiguous(const LoopProblem& problem,
   rejection.solutions = {Report(problem, contenders[0], options),
                          Report(problem, contenders[rival->contender], options)};
   return rejection;
+}
+
+// Whether odometry can be as wrong as the solution needs it to be.
+std::optional<LoopRejection> CheckMotions(const RigSolution& solution,
+                                          const FastLoopOptions& options) {
+  std::vector<double> costs;
+  for (const Vector6d& residual : solution.refinement.motion_residuals) {
+    costs.push_back(MotionLoss(residual.squaredNorm(), options.refinement).cost);
+  }
+  const double probability = MotionProbability(costs, options.refinement.motion_dof);
+  if (probability >= options.min_motion_probability) return std::nullopt;
+  return LoopRejection{"motions", std::nullopt, probability, options.min_motion_probability};
 }
 
 std::optional<LoopRejection> CheckPlausible(const LoopEstimate& loop,
@@ -89,17 +112,38 @@ LoopEstimate MakeEstimate(const LoopProblem& problem,
   return loop;
 }
 
+// Half of the points are further away than this [m]; infinite where half of them are at infinity.
+double MedianDepth_m(const RigSolution& solution) {
+  std::vector<double> inverse;
+  for (const InverseDistancePoint& point : solution.refinement.points) {
+    inverse.push_back(point.inverse_distance);
+  }
+  if (inverse.empty()) return 0.0;
+  const auto middle = inverse.begin() + static_cast<std::ptrdiff_t>(inverse.size() / 2);
+  std::nth_element(inverse.begin(), middle, inverse.end());
+  return *middle > 0.0 ? 1.0 / *middle : std::numeric_limits<double>::infinity();
+}
+
+double RowVariance_rad2(const RefinedRig& rig, int camera) {
+  return rig.exposures.empty() ? 0.0 : RowVariance_rad2(rig.exposures[static_cast<size_t>(camera)]);
+}
+
 // The longest motion within a rig, in standard deviations of what odometry says about it: one that
-// cannot be told from none says nothing about the scale.
-double LongestBaselineSigmas(const LoopProblem& problem) {
+// cannot be told from none says nothing about the scale. Nor does one whose parallax at the scene's
+// depth cannot be told from what the rows of turning cameras do to it.
+double LongestBaselineSigmas(const LoopProblem& problem, double depth_m) {
   double longest = 0.0;
   for (const RefinedRig* rig : {&problem.cand, &problem.query}) {
     for (const RigMotion& motion : rig->motions) {
       const Eigen::Vector3d t = (rig->T_rig_cam[static_cast<size_t>(motion.from)].inverse() *
                                  rig->T_rig_cam[static_cast<size_t>(motion.to)])
                                     .translation();
-      const Eigen::Matrix3d covariance = motion.covariance.bottomRightCorner<3, 3>();
-      longest = std::max(longest, std::sqrt(t.dot(covariance.llt().solve(t))));
+      const double rows_rad2 =
+          RowVariance_rad2(*rig, motion.from) + RowVariance_rad2(*rig, motion.to);
+      Eigen::Matrix3d covariance = motion.covariance.bottomRightCorner<3, 3>();
+      if (rows_rad2 > 0.0) covariance.diagonal().array() += depth_m * depth_m * rows_rad2;
+      const double sigmas2 = t.dot(covariance.llt().solve(t));
+      longest = std::max(longest, std::isfinite(sigmas2) ? std::sqrt(sigmas2) : 0.0);
     }
   }
   return longest;
@@ -112,7 +156,8 @@ LoopResult Estimate(const LoopProblem& problem, const FastLoopOptions& options, 
       EstimateRigHypotheses(problem.matched.rigs, options.hypotheses, options.seed);
   clock.Start("refinement");
   std::vector<RigSolution> solutions = FindContenders(problem, hypotheses, options);
-  const double baseline_sigmas = LongestBaselineSigmas(problem);
+  const double baseline_sigmas =
+      solutions.empty() ? 0.0 : LongestBaselineSigmas(problem, MedianDepth_m(solutions[0]));
   if (!solutions.empty() && solutions[0].score.num_inliers >= options.min_num_inliers &&
       baseline_sigmas < options.min_baseline_sigmas) {
     return LoopRejection{"scale", std::nullopt, baseline_sigmas, options.min_baseline_sigmas};
@@ -130,6 +175,9 @@ LoopResult Estimate(const LoopProblem& problem, const FastLoopOptions& options, 
   if (std::optional<LoopRejection> rejection = CheckUnambiguous(problem, solutions, options)) {
     return *rejection;
   }
+  if (std::optional<LoopRejection> rejection = CheckMotions(solutions[0], options)) {
+    return *rejection;
+  }
   clock.Start("covariance");
   const LoopEstimate loop = MakeEstimate(problem, solutions[0], options);
   if (std::optional<LoopRejection> rejection = CheckPlausible(loop, options)) return *rejection;
@@ -141,8 +189,6 @@ LoopResult Solve(const LoopRig& query,
                  const FastLoopOptions& options,
                  StageClock& clock) {
   LoopProblem problem{{}, RigOf(query), RigOf(cand)};
-  problem.query.Check();
-  problem.cand.Check();
   clock.Start("matching");
   problem.matched =
       MatchRigs(query.cameras, cand.cameras, options.matching, options.instruction_set);
@@ -177,6 +223,9 @@ void FastLoopOptions::Check() const {
   if (!(min_baseline_m > 0.0 && min_baseline_sigmas >= 0.0 && max_sigma_translation_m > 0.0 &&
         max_translation_m > 0.0 && max_rotation_rad > 0.0)) {
     throw std::invalid_argument("FastLoopOptions: limits must be positive");
+  }
+  if (!(min_motion_probability >= 0.0 && min_motion_probability < 1.0)) {
+    throw std::invalid_argument("FastLoopOptions.min_motion_probability must be in [0, 1)");
   }
 }
 

@@ -30,7 +30,8 @@ FastProblem MakeFastProblem(const RefinementProblemOptions& options) {
   }
   const RigTracks tracks =
       MergeTracks(InlierLinks(problem.rigs, problem.keypoints, all, problem.T_cand_query));
-  FastProblem fast{{{}, problem.query.motions}, {{}, problem.cand.motions}, problem.T_cand_query};
+  FastProblem fast{
+      {{}, problem.query.motions, {}}, {{}, problem.cand.motions, {}}, problem.T_cand_query};
   std::mt19937_64 engine(options.seed + 1000);
   for (size_t c = 0; c < 5; ++c) {
     int num_rows = 0;

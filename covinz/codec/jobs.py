@@ -18,6 +18,8 @@ from covinz.types import (
     LeaseRequest,
     LoopClosure,
     LoopJob,
+    LoopPage,
+    LoopRange,
     LoopSolution,
     MotionResidual,
     Outcome,
@@ -25,6 +27,8 @@ from covinz.types import (
     RigMember,
 )
 
+# [rad/s, m/s]: nothing of what place recognition says of a robot is faster.
+MAX_TWIST: Final = 1e3
 _WIRE_STATE: Final = {state: state.name.capitalize() for state in JobState}
 _STATE_OF_WIRE: Final = {name: state for state, name in _WIRE_STATE.items()}
 
@@ -35,6 +39,7 @@ def _member_fields(member: RigMember) -> Fields:
         "pose_odom_body": tuple(poses.pose_values(member.T_odom_body, "T_odom_body")),
         "camera_hash": values.text(member.camera_hash, "camera_hash", values.CAMERA_HASH),
         "motion_covariance": _motion_covariance(member.motion_covariance),
+        "twists": _twists(member.twists),
     }
 
 
@@ -42,6 +47,10 @@ def _motion_covariance(covariance: ArrayLike | None) -> NDArray[Any] | None:
     if covariance is None:
         return None
     return values.covariance(covariance, "motion_covariance", definite=True)
+
+
+def _twists(twists: ArrayLike | None) -> NDArray[Any] | None:
+    return None if twists is None else values.numbers(twists, "twists", 12, MAX_TWIST)
 
 
 def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
@@ -52,11 +61,13 @@ def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
 
 def _member(fields: Fields) -> RigMember:
     covariance = _motion_covariance(fields["motion_covariance"])
+    twists = _twists(fields["twists"])
     return RigMember(
         values.keyframe_id(fields["keyframe"]),
         poses.transforms(fields["pose_odom_body"], "T_odom_body"),
         values.text(fields["camera_hash"], "camera_hash", values.CAMERA_HASH),
         None if covariance is None else covariance.reshape(6, 6),
+        None if twists is None else twists.reshape(2, 6),
     )
 
 
@@ -285,3 +296,28 @@ def job_page(fields: Fields) -> JobPage:
     return JobPage(
         values.whole(fields["total"], "total"), values.whole(fields["first"], "first"), records
     )
+
+
+def loop_range_fields(wanted: LoopRange) -> Fields:
+    """Fields of a LoopRange."""
+    return {"after": values.text(wanted.after, "after", values.JOB_ID) if wanted.after else None}
+
+
+def loop_range(fields: Fields) -> LoopRange:
+    """The inverse of `loop_range_fields`."""
+    after = fields["after"]
+    return LoopRange(values.text(after, "after", values.JOB_ID) if after else "")
+
+
+def loop_page_fields(page: LoopPage) -> Fields:
+    """Fields of a LoopPage."""
+    return {
+        "log_id": values.maybe_log_id(page.log_id),
+        "loops": [loop_closure_fields(loop) for loop in page.loops],
+    }
+
+
+def loop_page(fields: Fields) -> LoopPage:
+    """The inverse of `loop_page_fields`."""
+    loops = tuple(loop_closure(loop) for loop in fields["loops"])
+    return LoopPage(values.maybe_log_id(fields["log_id"]) or "", loops)

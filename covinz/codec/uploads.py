@@ -26,6 +26,7 @@ from covinz.types import (
 
 MAX_IMAGE_PX: Final = 4096
 MAX_PARAM: Final = 1e9
+MAX_READOUT_S: Final = 1.0
 KEYPOINT_UNITS_PER_PX: Final = 16
 _WIRE_TYPE: Final = {FeatureType.ORB: "Orb", FeatureType.SIFT: "Sift"}
 _TYPE_OF_WIRE: Final = {name: kind for kind, name in _WIRE_TYPE.items()}
@@ -40,6 +41,7 @@ def camera_fields(camera: Camera) -> Fields:
         "height": values.whole(camera.height, "height", 1, MAX_IMAGE_PX),
         "params": _params(camera.model, camera.params),
         "matrix_body_cam": camera.T_body_cam[:3].ravel(),
+        "readout_s": _readout(camera.readout_s),
     }
 
 
@@ -54,7 +56,16 @@ def camera(fields: Fields) -> Camera:
         height=values.whole(fields["height"], "height", 1, MAX_IMAGE_PX),
         params=_params(fields["model"], fields["params"]),
         T_body_cam=T_body_cam,
+        readout_s=_readout(fields["readout_s"]),
     )
+
+
+def _readout(readout_s: float | None) -> float | None:
+    if readout_s is None:
+        return None
+    if values.finite(readout_s, "readout_s", low=0.0) > MAX_READOUT_S:
+        raise ValueError(f"readout_s: {readout_s} is not a time [s] up to {MAX_READOUT_S}")
+    return float(readout_s)
 
 
 def _params(model: str, params: NDArray[Any]) -> NDArray[Any]:

@@ -31,6 +31,8 @@ WIDE_LENS = CalibrationFile(
     height=480,
     params=(458.0, 457.0, 367.0, 248.0, -0.283, 0.074, 2e-4, 2e-5),
     T_body_cam=(0, 0, 1, 0.1, -1, 0, 0, 0.03, 0, -1, 0, 0.05, 0, 0, 0, 1),
+    # A rendered image is of its stamp's moment.
+    readout_s=0.0,
 )
 
 

@@ -38,6 +38,8 @@ class Camera:
         height: Image height in pixels.
         params: Intrinsics in COLMAP's order for the model.
         T_body_cam: (4, 4) pose of the camera (x right, y down, z forward) in the body frame.
+        readout_s: Seconds from the exposure of an image's first row to that of its last, in which
+            its stamp lies; 0 where all rows are exposed at the stamp. None when unknown.
     """
 
     model: str
@@ -45,6 +47,7 @@ class Camera:
     height: int
     params: Array
     T_body_cam: Array
+    readout_s: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "params", frozen_array(self.params, (None,)))
@@ -59,6 +62,8 @@ class Camera:
         digest.update(f"{self.model} {self.width} {self.height}\n".encode())
         digest.update(self.params.astype("<f8").tobytes())
         digest.update(self.T_body_cam.astype("<f8").tobytes())
+        if self.readout_s is not None:
+            digest.update(np.array(self.readout_s + 0.0, "<f8").tobytes())
         return digest.hexdigest()
 
 

@@ -19,18 +19,23 @@ class RigMember:
         motion_covariance: (6, 6) of odometry's motion to this keyframe from the rig's previous one
             in order of time: right perturbation [rotation (rad), translation (m)], in this body
             frame. None for the earliest, and where nobody said.
+        twists: (2, 6) how the body moved before and after the image's stamp, [rotation (rad/s),
+            translation (m/s)] in the body frame. None where nobody said.
     """
 
     keyframe: KeyframeId
     T_odom_body: Array
     camera_hash: str
     motion_covariance: Array | None = None
+    twists: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_odom_body", frozen_array(self.T_odom_body, (4, 4)))
         if self.motion_covariance is not None:
             covariance = frozen_array(self.motion_covariance, (6, 6))
             object.__setattr__(self, "motion_covariance", covariance)
+        if self.twists is not None:
+            object.__setattr__(self, "twists", frozen_array(self.twists, (2, 6)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,3 +250,18 @@ class JobPage:
     total: int
     first: int
     records: tuple[JobRecord, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRange:
+    """Asks the dispatcher for accepted loops with a job id greater than `after` ("": all)."""
+
+    after: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopPage:
+    """Accepted loops of one log in order of their job ids; empty when there are no more."""
+
+    log_id: str
+    loops: tuple[LoopClosure, ...]

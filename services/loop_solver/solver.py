@@ -24,6 +24,7 @@ from covinz.types import (
     Outcome,
     Rejection,
 )
+from services.loop_solver.exposures import rig_exposures
 from services.loop_solver.kinds import FeaturesExpired, NoSharedKind, shared_kind
 from services.loop_solver.motions import consecutive, rig_motions
 from services.loop_solver.rig import build_rig
@@ -98,9 +99,14 @@ class LoopSolver:
         if config.profile == "paper":
             options = loop_options(config, job.seed, kind)
             return lambda: covinz_core.solve_loop(query, cand, options)
-        noise = config.fast.odometry
-        query_rig = covinz_core.LoopRig(query, rig_motions(job.query_rig, store, noise))
-        cand_rig = covinz_core.LoopRig(cand, rig_motions(job.cand_rig, store, noise))
+        query_rig, cand_rig = (
+            covinz_core.LoopRig(
+                cameras,
+                rig_motions(members, store, config.fast.odometry),
+                rig_exposures(members, store, config.fast.readout_s),
+            )
+            for cameras, members in ((query, job.query_rig), (cand, job.cand_rig))
+        )
         fast_options = fast_loop_options(config, job.seed, kind)
         if config.fast.use_verticals:
             fast_options.hypotheses.verticals = verticals(job, store)

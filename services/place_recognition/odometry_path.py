@@ -7,8 +7,14 @@ from bisect import bisect_left, bisect_right
 import numpy as np
 
 from covinz.config import OdometryNoise
+from covinz.frames import local_error
 from covinz.odometry import motion_covariance
 from covinz.types import Array, Keyframe
+
+# Keyframes nearer in time say more about odometry's noise than about a twist. [s]
+_MIN_STEP_S = 5e-3
+# No robot is faster, only odometry that jumps. [rad/s, m/s]
+_MAX_TWIST = 100.0
 
 
 class OdometryPath:
@@ -20,6 +26,7 @@ class OdometryPath:
     def __init__(self) -> None:
         self._seqs: list[int] = []
         self._keyframes: list[tuple[Array, Array | None]] = []
+        self._stamps_ns: list[int] = []
 
     def __len__(self) -> int:
         return len(self._seqs)
@@ -31,6 +38,7 @@ class OdometryPath:
             raise ValueError(f"{kf.id} is logged twice")
         self._seqs.insert(at, kf.id.seq)
         self._keyframes.insert(at, (kf.T_odom_body, kf.covariance))
+        self._stamps_ns.insert(at, kf.stamp_ns)
 
     def num_after(self, seq: int) -> int:
         """How many logged keyframes follow on one."""
@@ -49,3 +57,26 @@ class OdometryPath:
             for before, seq, (_, covariance) in zip(seqs[:-1], seqs[1:], keyframes[1:], strict=True)
         ]
         return motion_covariance(np.stack([T for T, _ in keyframes]), sent, noise)
+
+    def twists(self, seq: int) -> Array | None:
+        """(2, 6) how the body moved before and after a logged keyframe, [rad/s, m/s] in its frame.
+
+        The means over the steps to its neighbours; where there is one at one side only, it stands
+        for both. None without any neighbour at another time.
+        """
+        at = bisect_left(self._seqs, seq)
+        before, after = self._mean_twist(at, at - 1), self._mean_twist(at, at + 1)
+        if before is None:
+            before = after
+        if after is None:
+            after = before
+        return None if before is None or after is None else np.stack([before, after])
+
+    def _mean_twist(self, at: int, other: int) -> Array | None:
+        if not 0 <= other < len(self._seqs):
+            return None
+        seconds = 1e-9 * (self._stamps_ns[other] - self._stamps_ns[at])
+        if abs(seconds) < _MIN_STEP_S:
+            return None
+        twist = local_error(self._keyframes[at][0], self._keyframes[other][0]) / seconds
+        return twist * min(1.0, _MAX_TWIST / max(float(np.abs(twist).max()), _MAX_TWIST))

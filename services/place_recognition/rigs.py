@@ -88,7 +88,7 @@ class RigRule:
         # Whatever size is asked for, a session that has the paper's number can close loops.
         if rig is None or len(rig.members) < min(size, 3):
             return None
-        return dataclasses.replace(rig, members=self._with_motions(track, rig.members))
+        return dataclasses.replace(rig, members=self._with_odometry(track, rig.members))
 
     def _best(self, around: Members, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
         """The best rig by geometry; None where a calibration is missing or unusable."""
@@ -113,7 +113,7 @@ class RigRule:
             return None
         return Rig(tuple(around[row] for row in choice.rows), choice.information)
 
-    def _with_motions(self, track: Track, members: Members) -> Members:
+    def _with_odometry(self, track: Track, members: Members) -> Members:
         in_time = sorted(members, key=lambda member: member.keyframe.seq)
         covariances = {
             later.keyframe: track.path.covariance(
@@ -122,7 +122,11 @@ class RigRule:
             for earlier, later in pairwise(in_time)
         }
         return tuple(
-            dataclasses.replace(member, motion_covariance=covariances.get(member.keyframe))
+            dataclasses.replace(
+                member,
+                motion_covariance=covariances.get(member.keyframe),
+                twists=track.path.twists(member.keyframe.seq),
+            )
             for member in members
         )
 

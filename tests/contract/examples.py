@@ -75,6 +75,13 @@ RIG_MOTION_JOB = dataclasses.replace(
         *LOOP_JOB.query_rig[1:],
     ),
 )
+RIG_TWISTS_JOB = dataclasses.replace(
+    RIG_MOTION_JOB,
+    cand_rig=tuple(
+        dataclasses.replace(member, twists=np.arange(12.0).reshape(2, 6) / 8)
+        for member in LOOP_JOB.cand_rig
+    ),
+)
 SUMMARY = types.MapSummary(
     OLD, 12, (SegmentId("robot_1", OLD), SegmentId("robot-2", NEW)), 3, 1
 )  # fmt: skip
@@ -95,6 +102,9 @@ EXAMPLES: dict[str, Any] = {
     "Camera": types.Camera(
         "OPENCV", 640, 480, np.array([525, 526, 319.5, 239.5, 0.1, -0.2, 0.001, 0]),
         quarter_turn(0.05, 0, 0.1),
+    ),
+    "Camera-readout": types.Camera(
+        "PINHOLE", 640, 480, np.array([525, 526, 319.5, 239.5]), quarter_turn(0, 0, 0), 0.0
     ),
     "Keyframe": KEYFRAME,
     "Keyframe-sift": types.Keyframe(CAND, 0, turn(0, 0, 0), HASH, SIFT),
@@ -119,6 +129,7 @@ EXAMPLES: dict[str, Any] = {
     "Lease-of_a_log": types.Lease(LOOP_JOB, "worker-1", 2, 60.0, NEW),
     "LoopJob": LOOP_JOB,
     "LoopJob-motions": RIG_MOTION_JOB,
+    "LoopJob-twists": RIG_TWISTS_JOB,
     "LoopClosure": LOOP,
     "LoopClosure-fast": FAST_LOOP,
     "LoopClosure-of_a_log": dataclasses.replace(LOOP, log_id=NEW),
@@ -135,10 +146,17 @@ EXAMPLES: dict[str, Any] = {
             types.JobRecord(LOOP_JOB, types.JobState.DONE, 1, LOOP),
         ),
     ),
+    "LoopRange": types.LoopRange(JOB),
+    "LoopRange-all": types.LoopRange(),
+    "LoopPage": types.LoopPage(OLD, (LOOP, FAST_LOOP)),
+    "LoopPage-empty": types.LoopPage("", ()),
     "Correction": types.Correction(QUERY, OLD, 12, turn(3, 2, 1), True, 1_700_000_000_000_000_000),
     "MapList": types.MapList((SUMMARY,)),
     "MapSnapshot": SNAPSHOT,
     "Status": types.Status("ingest", "main", OLD, 19, 1, 0, True, {"bytes": 1.5, "agents": 3.0}),
+    "Status-version": types.Status(
+        "ingest", "main", OLD, 1, 0, 0, False, {}, "0.1.0+messages.01234567", 10**18
+    ),
     "Status-idle": types.Status("router", "main", "", 0, 0, 0, False),
 }  # fmt: skip
 

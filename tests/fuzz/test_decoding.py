@@ -25,6 +25,7 @@ INPUTS = read_corpus()
 
 @pytest.mark.parametrize("name", sorted(IDENTIFIERS))
 def test_corpus(name: str) -> None:
+    assert name in INPUTS, "a new message: `make fuzz` gives it inputs"
     num_refused = 0
     for payload in INPUTS[name]:
         for reader in READERS[name]:

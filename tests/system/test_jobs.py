@@ -45,7 +45,7 @@ pytestmark = pytest.mark.slow
 PATIENCE_S = 120.0
 NUM_KEYFRAMES = 12
 # A smaller paper profile, so that a job takes a tenth of a second.
-SETTINGS = {
+SETTINGS: dict[str, dict[str, object]] = {
     "place_recognition": {"num_candidates": 2, "min_loop_keyframes": 6, "min_loop_s": 0.0},
     "loop_solver": {"profile": "paper", "max_rig_iterations": 300, "num_covariance_samples": 10},
 }

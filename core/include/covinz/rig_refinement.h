@@ -8,6 +8,7 @@
 
 #include "covinz/bearing_residual.h"
 #include "covinz/instruction_set.h"
+#include "covinz/rig_exposure.h"
 #include "covinz/rig_tracks.h"
 #include "covinz/se3.h"
 
@@ -28,6 +29,9 @@ struct RefinedRig {
   std::vector<Eigen::Isometry3d> T_rig_cam;
   std::vector<double> focal_px;    // one pixel is 1 / focal radians
   std::vector<RigMotion> motions;  // must tie every camera to the first
+  // By camera; none where all images are of their stamps' very moments. Not looked at by the
+  // refinement, which takes motions as given: see MotionsBetweenImages.
+  std::vector<CameraExposure> exposures;
 
   void Check() const;  // throws std::invalid_argument
 };
@@ -47,7 +51,9 @@ struct RigRefinementOptions {
   double max_inverse_distance_per_m = 10.0;
   // A keypoint is an inlier up to this error [px] after the refinement.
   double max_error_px = 2.0;
-  int max_num_iterations = 8;
+  // Mostly 5 are enough. A refinement that is cut off starts the next round with points triangulated
+  // anew, so that it may not get on at all: that took longer than to let it end.
+  int max_num_iterations = 24;
   // Stop when an iteration lowers the cost by less than this part.
   double min_relative_decrease = 1e-4;
   InstructionSet instruction_set = BestInstructionSet();

@@ -113,7 +113,9 @@ struct LoopRejection {
   // "covariance"    good samples < covariance.num_samples
   // "ambiguous"     significance of the best solution against a distinct one [sigmas]
   //                 < selection.min_significance; the fast profile's
-  // "uncertainty"   trace of the covariance > max_covariance_trace; in the fast profile, predicted
+  // "motions"       probability of odometry's residuals < min_motion_probability; the fast
+  // profile's "uncertainty"   trace of the covariance > max_covariance_trace; in the fast profile,
+  // predicted
   //                 sigma of the translation [m] > max_sigma_translation_m
   // "translation"   metres > max_translation_m
   // "rotation"      radians > max_rotation_rad

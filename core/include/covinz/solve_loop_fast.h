@@ -21,6 +21,8 @@ struct LoopRig {
   std::vector<RigCamera> cameras;
   // What odometry says about the motions between them; must tie every camera to the first.
   std::vector<RigMotion> motions;
+  // How each camera moved while it took its image; none where images are of their stamps' moments.
+  std::vector<CameraExposure> exposures;
 };
 
 // Options of SolveLoopFast.
@@ -50,6 +52,9 @@ struct FastLoopOptions {
   // Nor is there one where odometry cannot tell the longest motion within a rig from none: its
   // length in standard deviations. [chi^2 with three degrees of freedom at 99.9 %: 4.03^2]
   double min_baseline_sigmas = 4.0;
+  // Least probability that odometry is as wrong as the loop would have it: of right loops one in a
+  // hundred may be lost. [motion_tail.h; decision 0025]
+  double min_motion_probability = 0.01;
   // Largest predicted standard deviation of the translation [m], the root of its covariance's
   // trace. [catches what is left of loops without scale: short baselines, forward motion]
   double max_sigma_translation_m = 0.3;

@@ -48,7 +48,14 @@ def _covariance(rng: np.random.Generator) -> Array:
 
 def _camera(rng: np.random.Generator, width: int, height: int, model: str) -> types.Camera:
     length = {"PINHOLE": 4, "OPENCV": 8, "FULL_OPENCV": 12, "OPENCV_FISHEYE": 8}[model]
-    return types.Camera(model, width, height, rng.uniform(0.1, 1e3, length), poses_of(rng))
+    readout_s = rng.choice([None, 0.0, rng.uniform()])
+    params = rng.uniform(0.1, 1e3, length)
+    return types.Camera(model, width, height, params, poses_of(rng), readout_s)
+
+
+def _twists(rng: np.random.Generator) -> Array:
+    twists: Array = rng.uniform(-1e3, 1e3, (2, 6))
+    return twists
 
 
 def _features(rng: np.random.Generator, kind: types.FeatureType, n: int) -> types.Features:
@@ -119,7 +126,14 @@ def log_pages(draw: st.DrawFn) -> types.LogPage:
 
 
 rigs = st.lists(
-    st.builds(types.RigMember, keyframe_ids, poses, hashes, st.none() | covariances),
+    st.builds(
+        types.RigMember,
+        keyframe_ids,
+        poses,
+        hashes,
+        st.none() | covariances,
+        st.none() | generators.map(_twists),
+    ),
     min_size=1,
     max_size=3,
 ).map(tuple)

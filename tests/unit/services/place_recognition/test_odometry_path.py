@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from covinz.config import OdometryNoise
-from covinz.frames import transform
+from covinz.frames import so3_exp, transform
 from covinz.odometry import motion_covariance
 from covinz.types import Keyframe, KeyframeId
 from services.place_recognition.odometry_path import OdometryPath
@@ -18,7 +18,7 @@ SENT = np.diag(np.arange(1.0, 7.0)) * 1e-5
 def keyframe(seq: int) -> Keyframe:
     kf_id = KeyframeId("a", "01ARZ3NDEKTSV4RRFFQ69G5FAV", seq)
     T_odom_body = transform(np.eye(3), [np.cos(seq), np.sin(2 * seq), 0.1 * seq])
-    return Keyframe(kf_id, seq, T_odom_body, "0" * 16, None, SENT)
+    return Keyframe(kf_id, seq * 500_000_000, T_odom_body, "0" * 16, None, SENT)
 
 
 def path_of(seqs: list[int]) -> OdometryPath:
@@ -53,3 +53,40 @@ def test_over_missing_keyframes_the_robot_said_nothing() -> None:
 def test_a_keyframe_twice_is_an_error() -> None:
     with pytest.raises(ValueError, match="logged twice"):
         path_of([1, 2, 1])
+
+
+def turning(turns_rad: list[float], stamps_ms: list[int]) -> OdometryPath:
+    """A body that moves ahead a centimetre a millisecond and turns about its z."""
+    path = OdometryPath()
+    for seq, (turn_rad, stamp_ms) in enumerate(zip(turns_rad, stamps_ms, strict=True)):
+        T = transform(so3_exp([0.0, 0.0, turn_rad]), [0.01 * stamp_ms, 0.0, 0.0])
+        kf = keyframe(seq)
+        path.insert(Keyframe(kf.id, 1_000_000 * stamp_ms, T, kf.camera_hash, None))
+    return path
+
+
+def test_twists_are_those_of_the_steps_before_and_after() -> None:
+    # A turn of 0.1 rad in 0.1 s goes back at once, twice as fast.
+    twists = turning([-0.1, 0.0, -0.1], [0, 100, 150]).twists(1)
+    assert twists is not None
+    want = [[0.0, 0.0, 1.0, 10.0, 0.0, 0.0], [0.0, 0.0, -2.0, 10.0, 0.0, 0.0]]
+    np.testing.assert_allclose(twists, want, atol=1e-9)
+
+
+def test_at_the_end_of_a_session_one_step_stands_for_both() -> None:
+    path = turning([0.0, 0.1, 0.3], [0, 100, 200])
+    first, last = path.twists(0), path.twists(2)
+    assert first is not None and last is not None
+    np.testing.assert_array_equal(first[0], first[1])
+    np.testing.assert_allclose(last[:, 2], [2.0, 2.0])
+
+
+def test_without_neighbours_at_other_times_nothing_is_said() -> None:
+    assert turning([0.0], [0]).twists(0) is None
+    assert turning([0.0, 0.5], [7, 7]).twists(0) is None
+
+
+def test_odometry_that_jumps_is_no_robot() -> None:
+    twists = turning([0.0, 3.0], [0, 5]).twists(0)
+    assert twists is not None
+    assert np.abs(twists).max() == pytest.approx(100.0)
