@@ -60,7 +60,7 @@ class Timed:
     Attributes:
         result: Loop or rejection.
         ms: CPU time of the thread.
-        stage_ms: Its parts by stage: the CPU time, shared out as the stages' wall times are.
+        stage_ms: Its parts by stage.
     """
 
     result: Result
@@ -75,11 +75,12 @@ class Timed:
 
 def timed(solve: Callable[[], Result]) -> Timed:
     """Solve and take the time."""
-    wall, begin = time.perf_counter(), time.thread_time()
+    begin = time.thread_time()
     result = solve()
     ms = 1e3 * (time.thread_time() - begin)
-    wall_ms = 1e3 * (time.perf_counter() - wall)
-    share = ms / wall_ms if wall_ms > 0 else 1.0
+    # The core's stages are CPU times already; those of peers are wall times.
+    total_ms = sum(stage_ms for _, stage_ms in result.stage_ms)
+    share = min(1.0, ms / total_ms) if total_ms > 0 else 1.0
     stages: defaultdict[str, float] = defaultdict(float)
     for name, stage_ms in result.stage_ms:
         stages[name] += share * stage_ms

@@ -27,6 +27,7 @@ from covinz.types import (
     KeyframeContent,
     KeyframeId,
     Rejected,
+    RetryAfter,
 )
 from covinz.ulid import new_ulid
 from covinz.uploader import Uploader
@@ -127,6 +128,11 @@ class Agent:
     def unsaved(self) -> int:
         """Keyframes that `send` returned for and that a slow disk has not taken yet; usually 0."""
         return self._writer.unsaved
+
+    @property
+    def put_off(self) -> RetryAfter | None:
+        """Why the server takes nothing now, e.g. since its disk is full, while it says so."""
+        return self._uploader.put_off
 
     def report(self) -> SpoolReport:
         """What waits on the disk, and what had to be given up or was refused since it was made."""

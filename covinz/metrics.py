@@ -67,6 +67,7 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
             "Entries at the beginning of the log whose features were dropped.",
             is_gauge=True,
         ),
+        Described("twins", "twins.*", "1 while two robots send under one id.", "agent", True),
         _CANNOT_STORE,
     ),
     "place_recognition": (

@@ -58,6 +58,9 @@ class Uploader:
     `config.window` uploads are under way at once. After a failure there is one probe at a time,
     with growing pauses, until one succeeds.
 
+    Attributes:
+        put_off: Why the server takes nothing now, while it says so.
+
     Args:
         bus: Way to the server.
         spool: What is to be sent.
@@ -90,6 +93,7 @@ class Uploader:
         self._resume_at = 0.0  # no upload before this time of the monotonic clock
         self._may_hurry = True  # whether news may end the pause early
         self._backoff = Backoff(config, random.Random(machine.random_bytes(8)))
+        self.put_off: RetryAfter | None = None
         self._strikes: Counter[int] = Counter()  # by position: what speaks against the row
         self._registering = machine.lock()  # one thread registers a camera, the others wait
         self._registered: set[str] = set()
@@ -254,16 +258,23 @@ class Uploader:
         with self._changed:
             self._under_way -= 1
             if is_settled:
-                self._failing = False
+                self._failing, self.put_off = False, None
                 if self._may_hurry:  # a pause that the server asked for is kept
                     self._resume_at = 0.0
                 self._backoff.reset()
                 self._strikes.pop(position, None)
             else:
                 self._pause(answer.seconds if isinstance(answer, RetryAfter) else 0.0)
+                self._note_put_off(answer)
                 if strikes:
                     self._suspect(position, strikes)
             self._tell()
+
+    def _note_put_off(self, answer: UploadReply | None) -> None:
+        if isinstance(answer, RetryAfter):
+            if self.put_off is None or self.put_off.reason != answer.reason:
+                logger.warning("the server takes nothing of %s now: %s", self._agent, answer.reason)
+            self.put_off = answer
 
     def _pause(self, overload_s: float) -> None:
         """Send nothing for a while: so long as the server asks for, or else the back-off."""

@@ -147,6 +147,12 @@ def _robots(bus: Bus, ingest: Status, alive: set[str]) -> Iterator[Finding]:
         here = "connected" if robot in alive else "not connected"
         verdict = Verdict.GOOD if count else Verdict.ODD
         yield Finding(verdict, f"{robot}: {here}, {count:g} keyframes stored")
+        if ingest.counters.get(f"twins.{robot}"):
+            yield Finding(
+                Verdict.BAD,
+                f"two robots send as {robot}; only the first one's keyframes are taken",
+                "give each robot an id, and credentials, of its own",
+            )
         seen = clocks.ask(bus, keyexprs.agent_status(robot), ANSWER_S)
         if seen is not None and (robot in alive or seen.status.counters):
             yield from of_agent(robot, seen.status)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
@@ -42,6 +43,7 @@ from services.ingest.keyframe_log import KeyframeLog, LogUnavailable
 from services.ingest.log_reader import LogReader, LogReads
 from services.ingest.retention import Retention
 from services.ingest.trouble import StoreTrouble
+from services.ingest.twins import Twins
 
 logger = logging.getLogger(__name__)
 
@@ -83,8 +85,8 @@ def run(context: Context, open_log: OpenLog = KeyframeLog) -> None:
         stack.enter_context(closing(reads))
         min_features = context.config.place_recognition.min_features
         book = AgentBook(context.instance, min_features, context.machine)
-        ingest = Ingest(log, intake, context.bus, config, context.instance, book)
         clock_s = context.machine.monotonic_s
+        ingest = Ingest(log, intake, context.bus, config, context.instance, book, clock_s)
         retention = Retention(log.retained, lambda: log.head, config, clock_s)
         for key, callback in (
             (keyexprs.AGENT_KEYFRAMES, context.telemetry.timed("ingest_ack", intake.on_keyframe)),
@@ -115,6 +117,7 @@ class Ingest:
         config: IngestConfig,
         instance: str,
         book: AgentBook,
+        clock_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._log = log
         self._intake = intake
@@ -123,6 +126,7 @@ class Ingest:
         self._instance = instance
         self._book = book
         self._trouble = StoreTrouble(config)
+        self._twins = Twins(clock_s)
         self._complained: set[tuple[str, str]] = set()
         self._counters: Counter[str] = Counter()
         for agent, totals in log.totals().items():
@@ -149,6 +153,7 @@ class Ingest:
     def status(self) -> Status:
         """Cursor is the head of the log; counters since the log began, refusals since the start."""
         counters = self._counters + self._intake.refused + self._trouble.counters
+        counters += self._twins.counters
         counters["entries_without_features"] = self._log.retained.features_from
         counters["log_bytes"] = self._log.retained.used_bytes
         for name in ("keyframes", "bytes", "gaps", "dropped_keyframes"):
@@ -203,7 +208,7 @@ class Ingest:
     ) -> AdmittedUpload | AdmittedCamera | NeedCamera | Rejected | RetryAfter:
         try:
             if not upload.is_camera:
-                return admit_upload(upload.agent, upload.payload, self._log.cameras, self._config)
+                return self._admit_upload(upload)
             verdict = admit_camera(upload.agent, upload.payload)
         except Exception:  # a bug of ours must not let one agent's upload stop the others
             logger.exception(
@@ -213,6 +218,12 @@ class Ingest:
         if isinstance(verdict, AdmittedCamera) and self._is_one_too_many(verdict):
             limit = self._config.max_cameras_per_agent
             return rejected(Code.TOO_MANY_CAMERAS, f"{upload.agent} has {limit} already")
+        return verdict
+
+    def _admit_upload(self, upload: Upload) -> AdmittedUpload | NeedCamera | Rejected | RetryAfter:
+        verdict = admit_upload(upload.agent, upload.payload, self._log.cameras, self._config)
+        if isinstance(verdict, AdmittedUpload):
+            return self._twins.judge(upload.agent, verdict.item) or verdict
         return verdict
 
     def _is_one_too_many(self, record: AdmittedCamera) -> bool:
