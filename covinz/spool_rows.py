@@ -43,6 +43,12 @@ SPOOL_FILE = FileKind(
     CREATE INDEX gap_begin ON outbox (session, first_seq) WHERE is_gap;
     """,
 )
+# The log beside the file is brought into it when it has so many pages: 0.5 MiB.
+CHECKPOINT_PAGES = 128
+# What is written in one commit should not be larger than this. [bytes]
+BATCH_BYTES = 256 * 1024
+# More than that log grows to: enough to delete when the disk is full. [bytes]
+RESERVE_BYTES = 1024 * 1024
 # Reasons of gaps.
 FULL = "spool full"
 TOO_OLD = "too old"

@@ -290,6 +290,46 @@ def test_a_full_disk_is_reported_and_nothing_changes(path: Path) -> None:
     spool.close()
 
 
+def test_a_spool_that_filled_its_disk_goes_on_once_it_is_delivered(path: Path) -> None:
+    spool = opened(path)
+    db = spool._file.db
+    db.execute("PRAGMA max_page_count = 300")
+    big = b"x" * 40_000
+    seq = 0
+    for _ in range(3):
+        first = seq
+        while True:
+            try:
+                spool.append([entry(seq, payload=big)])
+            except SpoolError as error:
+                assert "full" in str(error)
+                break
+            seq += 1
+        assert seq - first > 15
+        rows = take_all(spool)
+        assert [row.first_seq for row in rows] == list(range(first, seq))
+        for row in rows:
+            spool.delivered(row.position)
+        assert len(spool) == 0
+    spool.close()
+
+
+def test_acknowledged_keyframes_make_room_on_a_full_disk(path: Path) -> None:
+    spool = opened(path)
+    spool._file.db.execute("PRAGMA max_page_count = 300")
+    big = b"x" * 40_000
+    with pytest.raises(SpoolError, match="full"):
+        for seq in range(100):
+            spool.append([entry(seq, payload=big)])
+    row = spool.take()
+    assert row is not None
+    with spool._lock:  # the delete did not fit then
+        spool._settled.add(row.position)
+    spool.append([entry(100, payload=big)])
+    assert spool._file.db.execute("SELECT MIN(position) FROM outbox").fetchone() == (2,)
+    spool.close()
+
+
 def test_what_append_returned_for_is_on_the_disk(path: Path, spool: Spool) -> None:
     # Another connection, as after a crash of this process, sees it at once.
     for seq in range(3):
