@@ -1,4 +1,4 @@
-# Targets: setup check test lint bench simulate results results-loops drill demo schemas vocabulary. All but `setup` run it first.
+# Targets: setup check test lint bench simulate fuzz load results results-loops drill demo schemas vocabulary. All but `setup` run it first.
 
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +13,7 @@ PYTHON_DIRS := covinz services agents/covinz_agents benchmarks scripts tests voc
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: setup check test lint simulate bench results results-loops drill demo schemas vocabulary core-tests core-sanitize core-neon clean
+.PHONY: setup check test lint simulate fuzz load bench results results-loops drill demo schemas vocabulary core-tests core-sanitize core-neon clean
 
 setup: $(STAMPS)/apt $(STAMPS)/venv $(STAMPS)/core $(STAMPS)/packages
 
@@ -82,6 +82,17 @@ FIRST ?= 0
 
 simulate: setup
 	$(BIN)/python -m tests.simulation $(if $(SEED),--seed $(SEED),--seeds $(SEEDS) --first $(FIRST))
+
+# Spoilt messages of every type: docs/testing.md. Other seeds find other things.
+DECODES ?= 1000000
+
+fuzz: setup
+	$(BIN)/python -m benchmarks.fuzz_decoding --decodes $(DECODES) --seed $(or $(SEED),0) --corpus tests/fuzz/corpus
+
+# What fifty robots and more workers make of two cores; takes the whole machine for five minutes.
+load: setup
+	$(BIN)/python -m benchmarks.load --json benchmarks/results/load.json >/dev/null
+	$(BIN)/python -m benchmarks.results_page
 
 BENCHMARKS := scenarios demo map_floor matching place_recognition map_from_scratch pose_graph cauchy_scale
 

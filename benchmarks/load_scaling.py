@@ -62,8 +62,8 @@ def solving(recordings: Path, folder: Path, counts: Sequence[int] = (1, 2)) -> d
 
 def upload(server: Server, recordings: Path, robots: int, each: int, out: Path) -> None:
     """Let robots send all they have, as fast as the server takes it."""
-    fleet = Fleet(robots, _AT_ONCE_HZ, each / _AT_ONCE_HZ)
-    player = play(server, recordings, (0, robots), time.monotonic(), fleet, out, linger_s=0.0)
+    fleet = Fleet(robots, _AT_ONCE_HZ, each / _AT_ONCE_HZ, linger_s=0.0)
+    player = play(server, recordings, (0, robots), time.monotonic(), fleet, out)
     if player.wait():
         raise RuntimeError(f"robots ended with {player.returncode}")
 

@@ -18,35 +18,45 @@ import numpy as np
 from benchmarks.load_server import Server, Usage, machine_cpu_s, process_usage, running_server
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
-# Time for the robots to connect, and then until measuring begins. [s]
-_CONNECT_S, _WARM_UP_S = 6.0, 10.0
-# Robots listen for corrections so much longer than they send. [s]
-_LINGER_S = 5.0
 # Between two looks at the server. [s]
 _LOOK_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """How many robots, how fast, how long, and in how many processes."""
+    """How many robots, how fast, and how long.
+
+    Attributes:
+        robots: How many.
+        rate_hz: Keyframes of each a second.
+        seconds: How long they send.
+        players: Processes that play them.
+        workers: Loop solvers.
+        connect_s: Time for the robots to connect before that.
+        warm_up_s: How much of `seconds` is over before measuring begins.
+        linger_s: How much longer than they send they listen for corrections.
+    """
 
     robots: int = 50
     rate_hz: float = 4.0
     seconds: float = 60.0
     players: int = 2
     workers: int = 2
+    connect_s: float = 6.0
+    warm_up_s: float = 10.0
+    linger_s: float = 5.0
 
 
 def measure(fleet: Fleet, recordings: Path, folder: Path) -> dict[str, Any]:
     """All figures of the uploads; the folder is empty before."""
     with running_server(folder / "server", fleet.workers) as server:
-        start_s = time.monotonic() + _CONNECT_S
+        start_s = time.monotonic() + fleet.connect_s
         bounds = np.linspace(0, fleet.robots, fleet.players + 1).astype(int)
         players = [
             play(server, recordings, (first, end), start_s, fleet, folder / f"{first}.json")
             for first, end in itertools.pairwise(map(int, bounds))
         ]
-        load = _watch(server, [player.pid for player in players], start_s, fleet.seconds)
+        load = _watch(server, [player.pid for player in players], start_s, fleet)
         for player in players:
             if player.wait():
                 raise RuntimeError(f"robots ended with {player.returncode}")
@@ -58,7 +68,7 @@ def measure(fleet: Fleet, recordings: Path, folder: Path) -> dict[str, Any]:
         "rate_hz": fleet.rate_hz,
         "workers": fleet.workers,
         "seconds": fleet.seconds,
-        **upload_figures(played, start_s + _WARM_UP_S, start_s + fleet.seconds),
+        **upload_figures(played, start_s + fleet.warm_up_s, start_s + fleet.seconds),
         "in_log": head,
         **load,
         "cpu_ms_per_keyframe": {
@@ -69,7 +79,7 @@ def measure(fleet: Fleet, recordings: Path, folder: Path) -> dict[str, Any]:
 
 def play(
     server: Server, recordings: Path, robots: tuple[int, int], start_s: float, fleet: Fleet,
-    out: Path, linger_s: float = _LINGER_S,
+    out: Path,
 ) -> subprocess.Popen[bytes]:  # fmt: skip
     """Robots number `robots[0]` up to `robots[1]` in a process that begins to connect now."""
     count = round(fleet.rate_hz * fleet.seconds)
@@ -80,7 +90,7 @@ def play(
         "start": start_s,
         "rate": fleet.rate_hz,
         "count": count,
-        "linger": linger_s,
+        "linger": fleet.linger_s,
         "out": out,
     }
     argv = [sys.executable, "-m", "benchmarks.load_robots"]
@@ -88,15 +98,13 @@ def play(
     return subprocess.Popen(argv, cwd=_REPOSITORY)
 
 
-def _watch(
-    server: Server, players: Sequence[int], start_s: float, seconds: float
-) -> dict[str, Any]:
+def _watch(server: Server, players: Sequence[int], start_s: float, fleet: Fleet) -> dict[str, Any]:
     """What the processes use from the end of the warm-up to the end of sending."""
-    time.sleep(max(0.0, start_s + _WARM_UP_S - time.monotonic()))
+    time.sleep(max(0.0, start_s + fleet.warm_up_s - time.monotonic()))
     began_s, before = time.monotonic(), _usage(server, players)
     machine_s, first = machine_cpu_s(), server.status("place_recognition")
     looks = [first]
-    while time.monotonic() + _LOOK_S < start_s + seconds:
+    while time.monotonic() + _LOOK_S < start_s + fleet.seconds:
         time.sleep(_LOOK_S)
         looks.append(server.status("place_recognition"))
     lasted_s, after = time.monotonic() - began_s, _usage(server, players)

@@ -3,14 +3,18 @@
 All methods solve the same generated problems (loop_problems.py), one after the other on each, so
 that what disturbs the machine disturbs all of them. Times are CPU times of one thread, matching
 included; `speedup_*` are medians, over the problems of `default` (ORB, 30 % wrong matches), of the
-time of `paper` over that of `fast`: in all, with `fast` on the portable code path, and of what is
-left of both without matching.
+time of `paper` over that of `fast`: in all; with `fast` on SSE4.2 and POPCNT alone
+(`speedup_portable_median`) and on what every x86-64 has (`speedup_no_popcnt_median`), while `paper`
+keeps OpenCV's AVX2; and of what is left of both without matching. With `--older-cpu` also
+`speedup_portable_older_cpu_median`: both on SSE4.2, as on a processor without AVX2, which this
+program does by starting itself again with OpenCV told so.
 
 A loop is right within 0.3 m and 3 degrees. `success` is the share of right ones among the loops
 that were not rejected, `success_of_all` among all trials. NEES is 6 ideally, 22.5 its 99.9 %
 quantile; `poselib`, a peer (loop_peers.py), has no covariance and so no NEES.
 
-    python -m benchmarks.loop_synthetic [--trials N] [--conditions NAME ...] [--json FILE]
+    python -m benchmarks.loop_synthetic [--trials N] [--conditions NAME ...] [--older-cpu]
+        [--json FILE]
 """
 
 from __future__ import annotations
@@ -47,9 +51,15 @@ from covinz.config import LoopSolverConfig
 from services.loop_solver.solver import fast_loop_options, loop_options
 
 _RIGHT = Limits(0.3, np.deg2rad(3))
-# The condition of the speed-ups, and the method that only it has.
+# The condition of the speed-ups, and the methods that only it has.
 _SPEED = "default"
 _PORTABLE = "fast_portable"
+_FORCED = {
+    _PORTABLE: core.InstructionSet.SSE42,
+    "fast_no_popcnt": core.InstructionSet.PORTABLE,
+}
+# What OpenCV dispatches beyond SSE4.2.
+_OLDER_CPU = {"OPENCV_CPU_DISABLE": "AVX,FP16,AVX2,FMA3,AVX_512F,AVX512_COMMON,AVX512_SKX"}
 
 Solver = Callable[[LoopProblem, Condition, int], Result]
 
@@ -143,6 +153,7 @@ def speedups(turns: Sequence[Mapping[str, Timed]]) -> dict[str, float | None]:
     return {
         "speedup_median": median(lambda attempt: attempt.ms, "fast"),
         "speedup_portable_median": median(lambda attempt: attempt.ms, _PORTABLE),
+        "speedup_no_popcnt_median": median(lambda attempt: attempt.ms, "fast_no_popcnt"),
         "speedup_geometry_only_median": median(lambda a: a.without_matching_ms, "fast"),
     }
 
@@ -154,7 +165,9 @@ def measure(conditions: Sequence[str], methods: Sequence[str], trials: int) -> d
     for name in conditions:
         solvers = {method: METHODS[method] for method in methods}
         if name == _SPEED and "fast" in methods:
-            solvers[_PORTABLE] = partial(fast, instruction_set=core.InstructionSet.PORTABLE)
+            for method, forced in _FORCED.items():
+                if core.is_supported(forced):
+                    solvers[method] = partial(fast, instruction_set=forced)
         tallies, solved = solve_all(CONDITIONS[name], solvers, trials)
         results[name] = {method: figures(tally) for method, tally in tallies.items()}
         turns = solved if name == _SPEED else turns

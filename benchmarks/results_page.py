@@ -12,6 +12,7 @@ from typing import Any
 
 from benchmarks.drill.table import drill_section
 from benchmarks.loop_tables import accuracy_section, synthetic_section, table, traffic_section
+from benchmarks.server_tables import fuzz_section, load_section
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGE = REPOSITORY / "docs" / "results.md"
@@ -47,6 +48,8 @@ _SECTIONS = {
     "loop_accuracy": accuracy_section,
     "runtime_traffic": traffic_section,
     "fault_drill": drill_section,
+    "load": load_section,
+    "fuzz": fuzz_section,
 }
 _AGENT = ("robot", "keyframes", "path", "ATE before → after", "kB/s")
 

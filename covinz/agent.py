@@ -42,7 +42,7 @@ class Agent:
                 agent.send(content)
 
     Nothing that is on the robot's disk is lost: it stays there until the server has it on its own,
-    across failures of link, server and robot. `send` waits for the disk, but only for 20 ms; what
+    across failures of link, server and robot. `send` waits for the disk, but only for 10 ms; what
     a slower disk has not taken yet is counted by `unsaved` (usually 0) and would be lost with the
     robot's process. What an earlier run left in the spool is uploaded too.
 

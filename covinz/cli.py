@@ -21,12 +21,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from covinz import (
+    cli_backup,
     cli_jobs,
     client,
     config,
     durable,
     evaluation,
     export,
+    gaps,
     run,
     server_report,
     summary,
@@ -36,6 +38,7 @@ from covinz import (
 from covinz.access import commands as roster_commands
 from covinz.access.roster import FOLDER
 from covinz.access.server import server_bus
+from covinz.backup import BackupError
 from covinz.bus import BusError, open_router
 from covinz.candidates import (
     LOOP,
@@ -45,10 +48,10 @@ from covinz.candidates import (
     read_candidates,
     short_name,
 )
+from covinz.cli_doctor import doctor
 from covinz.cli_spool import show_spool
 from covinz.codec import MalformedMessage
-from covinz.connection import CredentialsFile, Endpoint, bus_config, connected
-from covinz.doctor import Verdict, examine, is_well
+from covinz.connection import CredentialsFile, Endpoint, connected
 from covinz.keyframes import CameraNotFound, KeyframeNotFound, StoreUnavailable
 from covinz.logs import LogFormat, set_up_logging
 from covinz.saved_job import SavedJobError
@@ -63,6 +66,9 @@ app = typer.Typer(
 )
 app.add_typer(roster_commands.app, name="roster")
 app.command("spool")(show_spool)
+app.command("backup")(cli_backup.back_up)
+app.command("restore")(cli_backup.restore)
+app.command()(doctor)
 app.add_typer(cli_jobs.app, name="jobs")
 console = Console()
 errors = Console(stderr=True)
@@ -158,19 +164,6 @@ def status(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> No
 
 
 @app.command()
-def doctor(endpoint: Endpoint = None, credentials: CredentialsFile = None) -> None:
-    """Say why nothing arrives: credentials, connection, processes, robots."""
-    colours = {Verdict.GOOD: "green", Verdict.ODD: "yellow", Verdict.BAD: "red"}
-    findings = []
-    for finding in examine(bus_config(endpoint, credentials)):
-        findings.append(finding)
-        console.print(f"[{colours[finding.verdict]}]{finding.verdict:4}[/]", end="  ")
-        _say(finding.text)
-    if not is_well(findings):
-        sys.exit(1)
-
-
-@app.command()
 def why(
     keyframe: Annotated[str, typer.Argument(help="AGENT, AGENT/SEQ or AGENT/SESSION/SEQ.")],
     folder: Annotated[
@@ -180,14 +173,19 @@ def why(
     credentials: CredentialsFile = None,
 ) -> None:
     """Say for a keyframe which candidates it had and why each did or did not become a loop."""
+    missing: list[str] = []
     if folder is not None:
         found = read_candidates(folder / "candidates.csv")
     else:
         with connected(endpoint, credentials) as bus:
             found = candidates(client.jobs(bus))
+            missing = [gaps.in_words(g) for g in client.gaps(bus) if gaps.concerns(g, keyframe)]
     rows = [row for row in found if row.concerns(keyframe)]
+    for line in missing:
+        _say(line)
     if not rows:
-        _say(f"no candidate was ever found for {keyframe}")
+        if not missing:
+            _say(f"no candidate was ever found for {keyframe}")
         return
     console.print(_why_table(rows))
 
@@ -289,6 +287,7 @@ def main() -> None:
     # Who waits for the router says so in words of its own.
     logging.getLogger("covinz.bus").setLevel(logging.ERROR)
     known = (
+        BackupError,
         BusError,
         CandidatesError,
         MalformedMessage,

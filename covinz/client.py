@@ -9,7 +9,19 @@ from dataclasses import dataclass
 
 from covinz import codec, keyexprs
 from covinz.bus import Bus
-from covinz.types import JobPage, JobRange, JobRecord, MapList, MapSnapshot, MapSummary, Status
+from covinz.types import (
+    Gap,
+    JobPage,
+    JobRange,
+    JobRecord,
+    LogPage,
+    LogRange,
+    LogView,
+    MapList,
+    MapSnapshot,
+    MapSummary,
+    Status,
+)
 
 # Between two looks at the status of a system that is still at work.
 POLL_S = 0.2
@@ -150,6 +162,18 @@ def jobs(bus: Bus) -> Iterator[JobRecord]:
         yield from page.records
         first, total = first + len(page.records), page.total
         if not page.records:
+            return
+
+
+def gaps(bus: Bus) -> Iterator[Gap]:
+    """Every gap in the log: keyframes that will never come, and why; in its order."""
+    first, head = 0, 1
+    while first < head:
+        question = codec.encode(LogRange(first, LogView.POSE))
+        page = codec.decode(_one(bus, keyexprs.LOG_RANGE, question, "ingest"), LogPage)
+        yield from (entry.item for entry in page.entries if isinstance(entry.item, Gap))
+        first, head = first + len(page.entries), page.head
+        if not page.entries:
             return
 
 

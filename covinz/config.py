@@ -346,7 +346,7 @@ class AgentConfig(Section):
     window: PositiveInt = 4
     # `send` waits so long for the disk, then the disk follows. With all else it stays below 50 ms.
     # [s; decision 0027]
-    max_send_wait_s: NonNegative = 0.02
+    max_send_wait_s: NonNegative = 0.01
     # So much may wait for a slow disk before `send` refuses more: half a minute of keyframes of
     # 40 kB at ten a second. [bytes]
     max_unsaved_bytes: PositiveInt = 16 * 1024 * 1024

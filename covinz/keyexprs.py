@@ -9,6 +9,7 @@ from covinz.types import AGENT_PATTERN, KeyframeId
 
 AGENT_KEYFRAMES = "covinz/agent/*/up/keyframe"
 AGENT_CAMERAS = "covinz/agent/*/up/camera"
+AGENT_STATUSES = "covinz/agent/*/up/status"
 AGENT_CORRECTIONS = "covinz/agent/*/down/correction"
 AGENTS_ALIVE = "covinz/agent/*/alive"
 # What the server answers of robots, as its processes declare it and in general.
@@ -20,6 +21,7 @@ CAMERAS = "covinz/camera/*"
 JOB_LEASE = "covinz/job/lease"
 JOB_DONE = "covinz/job/done"
 JOB_LIST = "covinz/job/list"
+JOB_LOOPS = "covinz/job/loops"
 JOB_RETRIES = "covinz/job/retry/*"
 WORKERS_ALIVE = "covinz/job/worker/*/alive"
 LOOP = "covinz/loop"
@@ -48,6 +50,11 @@ def agent_keyframe(agent: str) -> str:
 def agent_camera(agent: str) -> str:
     """Registration of a calibration: query + ack, agent -> ingest."""
     return f"covinz/agent/{agent}/up/camera"
+
+
+def agent_status(agent: str) -> str:
+    """What ingest has seen of an agent since it was started: query; agent or operator -> ingest."""
+    return f"covinz/agent/{agent}/up/status"
 
 
 def agent_correction(agent: str) -> str:

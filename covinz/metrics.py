@@ -60,6 +60,13 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
         Described("retries", "retry_after", "Uploads that were told to come again."),
         Described("camera_requests", "need_camera", "Uploads whose calibration was asked for."),
         Described("failed_commits", "failed_commits", "Commits of the log that failed."),
+        Described("log_bytes", "log_bytes", "Size of the log on disk.", is_gauge=True),
+        Described(
+            "entries_without_features",
+            "entries_without_features",
+            "Entries at the beginning of the log whose features were dropped.",
+            is_gauge=True,
+        ),
         _CANNOT_STORE,
     ),
     "place_recognition": (
@@ -73,7 +80,7 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
         Described(
             "rejected_jobs",
             "rejected.*",
-            "Jobs that did not, by stage; dead_letter: dead jobs.",
+            "Jobs that did not, by stage; given up: dead_letter, shed.",
             "stage",
             is_gauge=True,
         ),
@@ -103,6 +110,9 @@ METRICS: Mapping[str, tuple[Described, ...]] = {
         ),
         Described("faulty_loops", "faulty_loops", "Loops left out of the maps.", is_gauge=True),
         Described("rejected_loops", "rejected_loops", "Loops refused."),
+        Described(
+            "recovered_loops", "recovered_loops", "Loops that came from the journal of jobs."
+        ),
         Described("foreign_loops", "loops_of_other_logs", "Loops of another log."),
         Described("jumps", "jumps", "Corrections that moved an agent far."),
         _CANNOT_STORE,

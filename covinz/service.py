@@ -16,12 +16,12 @@ import socket
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from covinz import codec, keyexprs
 from covinz import config as configuration
-from covinz import keyexprs
 from covinz.beats import Beats
 from covinz.bus import Bus, BusClosed, BusError, Query, ZenohBus
 from covinz.config import Config, ConfigError, HealthConfig
@@ -31,7 +31,9 @@ from covinz.inbox import Inbox, Stopped
 from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.niceness import give_way
+from covinz.program import VERSION
 from covinz.telemetry import Telemetry
+from covinz.types import Status
 from covinz.watch import Guard, Watch
 
 __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
@@ -47,9 +49,15 @@ LEAVE_S = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatusRequest:
-    """Somebody asks how far this process is: ``event.query.reply(encode(Status(...)))``."""
+    """Somebody asks how far this process is: ``event.answer(Status(...))``."""
 
     query: Query
+    machine: Machine = THIS_MACHINE
+
+    def answer(self, status: Status) -> None:
+        """Answer, with the version of this program and its clock."""
+        told = replace(status, version=VERSION, now_ns=self.machine.now_ns())
+        self.query.reply(codec.encode(told))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +119,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
 
     def arm(inbox: Inbox, _: Bus) -> None:
         _stop_on_signal(ended, inbox, bus)
-        ask = partial(_ask_status, inbox)
+        ask = partial(_ask_status, inbox, THIS_MACHINE)
         probe = Probe(name, ask, bus, lambda: bus.is_connected, watch, telemetry)
         _tell_over_http(config.health, arguments.port_offset, probe)
 
@@ -168,7 +176,7 @@ def serve_on(
         inbox = Inbox(on_first_take=announce, machine=machine, owner=owner)
         stack.callback(_drop_status_requests, inbox)
         status_key = keyexprs.service_status(name, instance)
-        status = bus.answer(status_key, lambda query: _ask_status(inbox, query))
+        status = bus.answer(status_key, partial(_ask_status, inbox, machine))
         stack.callback(status.close)
         arm(inbox, bus)
         try:
@@ -231,8 +239,8 @@ def _tell_over_http(config: HealthConfig, offset: int, probe: Probe) -> None:
         logger.error("no health and metrics at %s:%d: %s", config.address, port, error)
 
 
-def _ask_status(inbox: Inbox, query: Query) -> None:
-    if not inbox.put_always(StatusRequest(query)):
+def _ask_status(inbox: Inbox, machine: Machine, query: Query) -> None:
+    if not inbox.put_always(StatusRequest(query, machine)):
         query.drop()
 
 

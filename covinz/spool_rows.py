@@ -50,6 +50,7 @@ DAMAGED = "damaged on the robot's disk"
 _COLUMNS = (
     "position, session, is_gap, first_seq, last_seq, camera_hash, reason, spooled_s, crc, payload"
 )
+_TYPES = [int, str, int, int, int, str, str, float, int, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +237,8 @@ def _first(db: sqlite3.Connection, where: str, values: tuple[object, ...]) -> Sp
     ).fetchone()
     if row is None:
         return None
+    if [type(value) for value in row] != _TYPES:
+        raise sqlite3.DatabaseError(f"row {row[0]} is damaged")
     position, session, is_gap, *rest = row
     return SpoolRow(position, session, bool(is_gap), *rest)
 

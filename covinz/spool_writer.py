@@ -164,6 +164,8 @@ class SpoolWriter:
                 self._spool.append([handed.entry for handed in batch])
             except SpoolError as failure:
                 error = failure
+                if self._failure is None:
+                    logger.error("cannot write keyframes to the disk: %s", error)
             with self._changed:
                 if error is None:
                     self._saved(batch)
@@ -192,8 +194,6 @@ class SpoolWriter:
 
     def _failed(self, error: SpoolError) -> None:
         """Give back those, from the newest on, whose senders can still be told; keep the rest."""
-        if self._failure is None:
-            logger.error("cannot write keyframes to the disk: %s", error)
         self._failure = error
         while self._queue and self._queue[-1].is_awaited:
             handed = self._queue.pop()

@@ -37,14 +37,17 @@ int Minimize(const RigAdjustment& problem,
   ReducedSystem system, next_system;
   cost = Linearize(problem, state, damping, system);
   int iteration = 0;
+  // Lowered right after it had to be raised, the damping would have to be raised again.
+  bool raised = false;
   while (iteration < options.max_num_iterations) {
     ++iteration;
     RigAdjustmentState next = Step(problem, state, system);
-    const double lower_damping = std::max(1e-8, 0.1 * damping);
+    const double lower_damping = raised ? damping : std::max(1e-8, 0.1 * damping);
     const double next_cost = Linearize(problem, next, lower_damping, next_system);
     if (!(next_cost < cost)) {
       if (!(damping < 1e3)) break;
       damping *= 10.0;
+      raised = true;
       Linearize(problem, state, damping, system);
       continue;
     }
@@ -53,6 +56,7 @@ int Minimize(const RigAdjustment& problem,
     std::swap(system, next_system);
     cost = next_cost;
     damping = lower_damping;
+    raised = false;
     if (decrease < options.min_relative_decrease * cost) break;
   }
   return iteration;

@@ -73,6 +73,8 @@ _FORMS: Final[dict[type, _Form]] = {
     types.JobDone: _Form("JobDone", jobs.job_done_fields, jobs.job_done),
     types.JobRange: _Form("JobRange", jobs.job_range_fields, jobs.job_range),
     types.JobPage: _Form("JobPage", jobs.job_page_fields, jobs.job_page),
+    types.LoopRange: _Form("LoopRange", jobs.loop_range_fields, jobs.loop_range),
+    types.LoopPage: _Form("LoopPage", jobs.loop_page_fields, jobs.loop_page),
     types.Correction: _Form("Correction", maps.correction_fields, maps.correction),
     types.MapList: _Form("MapList", maps.map_list_fields, maps.map_list),
     types.MapSnapshot: _Form("MapSnapshot", maps.map_snapshot_fields, maps.map_snapshot),

@@ -18,6 +18,8 @@ from covinz.types import (
     LeaseRequest,
     LoopClosure,
     LoopJob,
+    LoopPage,
+    LoopRange,
     LoopSolution,
     MotionResidual,
     Outcome,
@@ -285,3 +287,28 @@ def job_page(fields: Fields) -> JobPage:
     return JobPage(
         values.whole(fields["total"], "total"), values.whole(fields["first"], "first"), records
     )
+
+
+def loop_range_fields(wanted: LoopRange) -> Fields:
+    """Fields of a LoopRange."""
+    return {"after": values.text(wanted.after, "after", values.JOB_ID) if wanted.after else None}
+
+
+def loop_range(fields: Fields) -> LoopRange:
+    """The inverse of `loop_range_fields`."""
+    after = fields["after"]
+    return LoopRange(values.text(after, "after", values.JOB_ID) if after else "")
+
+
+def loop_page_fields(page: LoopPage) -> Fields:
+    """Fields of a LoopPage."""
+    return {
+        "log_id": values.maybe_log_id(page.log_id),
+        "loops": [loop_closure_fields(loop) for loop in page.loops],
+    }
+
+
+def loop_page(fields: Fields) -> LoopPage:
+    """The inverse of `loop_page_fields`."""
+    loops = tuple(loop_closure(loop) for loop in fields["loops"])
+    return LoopPage(values.maybe_log_id(fields["log_id"]) or "", loops)

@@ -21,6 +21,10 @@ def status_fields(status: Status) -> Fields:
             {"name": values.text(name, "name"), "value": values.finite(value, name)}
             for name, value in sorted(status.counters.items())
         ],
+        "version": values.text(status.version, "version", values.VERSION)
+        if status.version
+        else None,
+        "now_ns": None if status.now_ns is None else values.whole(status.now_ns, "now_ns"),
     }
 
 
@@ -42,4 +46,8 @@ def status(fields: Fields) -> Status:
             counter["name"]: values.finite(counter["value"], counter["name"])
             for counter in fields["counters"]
         },
+        version=values.text(fields["version"], "version", values.VERSION)
+        if fields["version"]
+        else "",
+        now_ns=None if fields["now_ns"] is None else values.whole(fields["now_ns"], "now_ns"),
     )

@@ -23,6 +23,7 @@ SYMMETRY_TOLERANCE: Final = 1e-9
 CAMERA_HASH = re.compile(r"[0-9a-f]{16}")
 JOB_ID = re.compile(r"[0-9a-f]{32}")
 CODE = re.compile(r"[a-z][a-z0-9_]{0,63}")
+VERSION = re.compile(r"[0-9a-z.+-]{1,64}")
 # One part of a Zenoh key expression.
 INSTANCE = re.compile(r"[^/*$?#\s\x00-\x1f]{1,128}")
 _CHAIN: Final = re.compile(r"[0-9a-f]{32}")

@@ -245,3 +245,18 @@ class JobPage:
     total: int
     first: int
     records: tuple[JobRecord, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopRange:
+    """Asks the dispatcher for accepted loops with a job id greater than `after` ("": all)."""
+
+    after: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopPage:
+    """Accepted loops of one log in order of their job ids; empty when there are no more."""
+
+    log_id: str
+    loops: tuple[LoopClosure, ...]

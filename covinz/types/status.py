@@ -22,6 +22,8 @@ class Status:
         leased: Jobs lent out.
         dirty: Something accepted is not yet reflected in what the process publishes.
         counters: Further numbers by name.
+        version: `covinz.program.VERSION` of the process; empty: unknown.
+        now_ns: Its clock when it answered, since the Unix epoch; None: unknown.
     """
 
     service: str
@@ -32,3 +34,5 @@ class Status:
     leased: int
     dirty: bool
     counters: Mapping[str, float] = field(default_factory=dict)
+    version: str = ""
+    now_ns: int | None = None

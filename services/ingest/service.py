@@ -36,6 +36,7 @@ from services.ingest.admission import (
     admit_upload,
     rejected,
 )
+from services.ingest.agent_book import AgentBook
 from services.ingest.intake import Intake, Upload
 from services.ingest.keyframe_log import KeyframeLog, LogUnavailable
 from services.ingest.log_reader import LogReader, LogReads
@@ -80,12 +81,15 @@ def run(context: Context, open_log: OpenLog = KeyframeLog) -> None:
         reader = stack.enter_context(closing(LogReader(path, config.page_bytes)))
         reads = LogReads(context.bus, reader, partial(_other, context.inbox), context.machine)
         stack.enter_context(closing(reads))
-        ingest = Ingest(log, intake, context.bus, config, context.instance)
+        min_features = context.config.place_recognition.min_features
+        book = AgentBook(context.instance, min_features, context.machine)
+        ingest = Ingest(log, intake, context.bus, config, context.instance, book)
         clock_s = context.machine.monotonic_s
         retention = Retention(log.retained, lambda: log.head, config, clock_s)
         for key, callback in (
             (keyexprs.AGENT_KEYFRAMES, context.telemetry.timed("ingest_ack", intake.on_keyframe)),
             (keyexprs.AGENT_CAMERAS, intake.on_camera),
+            (keyexprs.AGENT_STATUSES, book.answer),
         ):
             stack.enter_context(closing(context.bus.answer(key, callback)))
         ingest.announce()
@@ -104,13 +108,20 @@ class Ingest:
     """Admits uploads, commits them in groups and answers only what is durable."""
 
     def __init__(
-        self, log: KeyframeLog, intake: Intake, bus: Bus, config: IngestConfig, instance: str
+        self,
+        log: KeyframeLog,
+        intake: Intake,
+        bus: Bus,
+        config: IngestConfig,
+        instance: str,
+        book: AgentBook,
     ) -> None:
         self._log = log
         self._intake = intake
         self._bus = bus
         self._config = config
         self._instance = instance
+        self._book = book
         self._trouble = StoreTrouble(config)
         self._complained: set[tuple[str, str]] = set()
         self._counters: Counter[str] = Counter()
@@ -126,8 +137,8 @@ class Ingest:
         self._store([event for event in events if isinstance(event, Upload)])
         for event in events:
             match event:
-                case StatusRequest(query):
-                    query.reply(codec.encode(self.status()))
+                case StatusRequest():
+                    event.answer(self.status())
                 case OtherHistoryKnown(log_id):
                     self._begin_history(log_id)
 
@@ -223,6 +234,7 @@ class Ingest:
     def _count(self, agent: str, record: AdmittedUpload | AdmittedCamera) -> None:
         if isinstance(record, AdmittedCamera):
             self._cameras_of[agent] += 1
+            self._book.registered(agent, record.camera)
             return
         self._counters[f"bytes.{agent}"] += len(record.payload)
         if isinstance(record.item, Gap):
@@ -231,6 +243,7 @@ class Ingest:
             self._counters[f"dropped_keyframes.{agent}"] += dropped
         else:
             self._counters[f"keyframes.{agent}"] += 1
+            self._book.stored(record.item)
 
     def _answer(self, upload: Upload, answer: UploadReply) -> None:
         match answer:
@@ -242,6 +255,7 @@ class Ingest:
                 self._counters["retry_after"] += 1
             case Rejected(code, reason):
                 self._counters[f"rejected.{code}"] += 1
+                self._book.refused(upload.agent, code)
                 self._log_rejection(upload.agent, code, reason)
         self._intake.done(upload)
         upload.query.reply(codec.encode(answer))

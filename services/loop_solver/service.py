@@ -7,7 +7,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Protocol
 
-from covinz import codec
 from covinz.config import LoopSolverConfig
 from covinz.keyframes import KeyframeStore, RemoteKeyframeStore
 from covinz.service import Context, StatusRequest
@@ -69,7 +68,7 @@ def run(context: Context, new_solver: NewSolver = LoopSolver) -> None:
         while True:
             event = context.inbox.take(None)
             if isinstance(event, StatusRequest):
-                event.query.reply(codec.encode(status(context.instance, worker)))
+                event.answer(status(context.instance, worker))
             elif isinstance(event, WorkerFailed):
                 raise event.error
 

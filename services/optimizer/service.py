@@ -46,6 +46,7 @@ from services.optimizer.doors import (
     reply,
 )
 from services.optimizer.loop_store import LoopStore, StoreUnavailable
+from services.optimizer.lost_loops import LoopsFound, LostLoops
 from services.optimizer.maps import Maps
 from services.optimizer.optimisation import Optimise, optimise
 from services.optimizer.unsent import Unsent
@@ -87,6 +88,8 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
         store = rebuildable(path, lambda: LoopStore(path), DamagedFile)
         stack.enter_context(closing(store))
         thread = stack.enter_context(closing(OptimisationThread(config, finish, machine, run_one)))
+        lost_loops = LostLoops(context.bus, deliver, machine)
+        stack.callback(lost_loops.close)
         optimizer = Optimizer(
             store,
             context.bus,
@@ -95,6 +98,7 @@ def run(context: Context, run_one: Optimise = optimise) -> None:
             context.instance,
             machine.monotonic_s,
             machine.now_ns,
+            lost_loops.look,
         )
         stack.enter_context(open_doors(context.bus, context.inbox))
         follower = LogFollower(context.bus, LogView.POSE, deliver, machine=machine)
@@ -118,6 +122,7 @@ class Optimizer:
         instance: Name in the status.
         clock_s: Monotonic time.
         now_ns: Time since the Unix epoch, for stamps.
+        look_for_loops: Makes the accepted loops of a log come as LoopsFound; None: they never do.
     """
 
     def __init__(
@@ -129,6 +134,7 @@ class Optimizer:
         instance: str,
         clock_s: Callable[[], float] = time.monotonic,
         now_ns: Callable[[], int] = time.time_ns,
+        look_for_loops: Callable[[str], object] | None = None,
     ) -> None:
         self._store = store
         self._bus = bus
@@ -137,6 +143,9 @@ class Optimizer:
         self._instance = instance
         self._clock_s = clock_s
         self._now_ns = now_ns
+        self._look_for_loops = look_for_loops
+        # The journal may have loops that are not here; and it may have all that there are.
+        self._may_lack_loops = self._may_lack_all = False
         self._maps = Maps(config)
         self._corrections = {c.keyframe.agent: c for c in store.corrections()}
         # Of all logs: robots take no correction that is older than the one they have.
@@ -165,6 +174,8 @@ class Optimizer:
                     self._read(event)
                 case Optimised():
                     self._finish(event)
+                case LoopsFound():
+                    self._take_found(event)
                 case OptimisationCrashed(error):
                     raise error
         self._optimise()
@@ -172,8 +183,8 @@ class Optimizer:
         self._send_corrections()
         for event in events:
             match event:
-                case StatusRequest(query):
-                    query.reply(codec.encode(self.status()))
+                case StatusRequest():
+                    event.answer(self.status())
                 case Asked(query):
                     answer_question(query, self._maps, self._corrections)
 
@@ -202,7 +213,9 @@ class Optimizer:
             cursor=self._cursor,
             pending=len(self._maps.pending),
             leased=0,
-            dirty=self._running or bool(self._maps.stale(with_keyframes=True) or self._unsent),
+            dirty=self._running
+            or self._may_lack_loops
+            or bool(self._maps.stale(with_keyframes=True) or self._unsent),
             counters={name: float(value) for name, value in sorted(counters.items())},
         )
 
@@ -240,6 +253,28 @@ class Optimizer:
                 logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand, extra=extra)
             reply(query, Stored() if is_new else Duplicate())
 
+    def _take_found(self, found: LoopsFound) -> None:
+        """Loops of the journal: most are here already."""
+        if found.log_id != self._log_id:
+            return
+        if not found.loops:
+            self._may_lack_loops = self._may_lack_all = False
+            return
+        payloads = [(loop.job_id, codec.encode(loop)) for loop in found.loops]
+        try:
+            new = self._store.add(payloads)
+        except StoreUnavailable as error:
+            self._unsent.failed(error, self._clock_s())
+            if self._look_for_loops is not None:
+                self._look_for_loops(self._log_id)
+            return
+        lost = [loop for loop, is_new in zip(found.loops, new, strict=True) if is_new]
+        for loop in lost:
+            self._maps.add_loop(loop)
+        if lost:
+            self._counters["recovered_loops"] += len(lost)
+            logger.warning("%d accepted loops come from the journal of jobs", len(lost))
+
     def _is_of_this_log(self, loop: LoopClosure) -> bool:
         """Whether the loop belongs to the log that the store is of; it may not say."""
         return self._store.log_id != "" and loop.log_id in ("", self._store.log_id)
@@ -249,6 +284,10 @@ class Optimizer:
     def _start_over(self, log_id: str) -> None:
         """Read the log from its beginning; another log has other loops."""
         logger.info("reading log %s from its beginning", log_id)
+        if self._look_for_loops is not None:
+            self._may_lack_loops = True
+            self._may_lack_all = self._may_lack_all or self._store.log_id != log_id
+            self._look_for_loops(log_id)
         if self._store.log_id != log_id:
             self._store.begin_log(log_id)
             self._corrections.clear()
@@ -281,8 +320,8 @@ class Optimizer:
 
     @property
     def _caught_up(self) -> bool:
-        """Half a log would give half a map, and corrections from it."""
-        return self._cursor == self._head
+        """Half a log would give half a map, and corrections from it; so would no loops."""
+        return self._cursor == self._head and not self._may_lack_all
 
     # --- optimisation ------------------------------------------------------------------------
 

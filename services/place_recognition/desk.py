@@ -20,6 +20,8 @@ from covinz.types import (
     JobRange,
     LeaseRequest,
     LoopJob,
+    LoopPage,
+    LoopRange,
     Rejected,
     Rejection,
     Stored,
@@ -76,7 +78,15 @@ class RetryAsked:
     query: Query
 
 
-DeskEvent = LeaseAsked | OutcomeBrought | JobsAsked | RetryAsked | WorkerGone | WorkerBack
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopsAsked:
+    """The optimizer wants to see whether it has all accepted loops."""
+
+    query: Query
+
+
+Question = LeaseAsked | OutcomeBrought | JobsAsked | LoopsAsked | RetryAsked
+DeskEvent = Question | WorkerGone | WorkerBack
 
 
 class Desk:
@@ -134,6 +144,10 @@ class Desk:
                 case JobsAsked(query):
                     first = codec.decode(query.payload, JobRange).first
                     query.reply(codec.encode(self._dispatcher.page(first)))
+                case LoopsAsked(query):
+                    after = codec.decode(query.payload, LoopRange).after
+                    page = LoopPage(self._journal.log_id, tuple(self._journal.loops(after)))
+                    query.reply(codec.encode(page))
                 case RetryAsked(query):
                     self._retry(query)
                 case WorkerGone(worker):
@@ -225,7 +239,7 @@ class Desk:
         logger.warning("refused %s: %s", type(event).__name__, error)
         if isinstance(event, OutcomeBrought):
             event.query.reply(codec.encode(Rejected("malformed", str(error))))
-        elif isinstance(event, LeaseAsked | JobsAsked | RetryAsked):
+        elif not isinstance(event, WorkerGone | WorkerBack):
             event.query.drop()
 
 
@@ -235,7 +249,7 @@ def open_desk(bus: Bus, inbox: Inbox) -> ExitStack:
     When the inbox is full a request is dropped at once: its sender tries again.
     """
 
-    def enqueue(event: LeaseAsked | OutcomeBrought | JobsAsked | RetryAsked) -> None:
+    def enqueue(event: Question) -> None:
         if not inbox.put(event, block=False):
             event.query.drop()
 
@@ -248,6 +262,7 @@ def open_desk(bus: Bus, inbox: Inbox) -> ExitStack:
         bus.answer(keyexprs.JOB_LEASE, lambda query: enqueue(LeaseAsked(query))),
         bus.answer(keyexprs.JOB_DONE, lambda query: enqueue(OutcomeBrought(query))),
         bus.answer(keyexprs.JOB_LIST, lambda query: enqueue(JobsAsked(query))),
+        bus.answer(keyexprs.JOB_LOOPS, lambda query: enqueue(LoopsAsked(query))),
         bus.answer(keyexprs.JOB_RETRIES, lambda query: enqueue(RetryAsked(query))),
         bus.watch_alive(keyexprs.WORKERS_ALIVE, on_worker),
     ):

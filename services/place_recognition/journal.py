@@ -18,6 +18,9 @@ from covinz.types import JobState, LogMark, LoopClosure, Outcome
 
 logger = logging.getLogger(__name__)
 
+# Loops in one answer; one is about 2 kB.
+PAGE_LOOPS = 256
+
 
 def _upgrade_1(db: sqlite3.Connection) -> None:
     db.execute("ALTER TABLE log ADD COLUMN seen INTEGER NOT NULL DEFAULT 0")
@@ -124,6 +127,19 @@ class Journal:
         except ValueError as error:
             logger.error("job %s is done again: its outcome is damaged: %s", job_id, error)
             return Memory()
+
+    def loops(self, after: str) -> list[LoopClosure]:
+        """Accepted loops that are durable, by job id, from the one after `after` on; some."""
+        if self._is_other_log:
+            return []
+        try:
+            rows = self._file.db.execute(
+                "SELECT id, outcome FROM job WHERE kind = 'loop' AND id > ? ORDER BY id LIMIT ?",
+                (after, PAGE_LOOPS),
+            ).fetchall()
+        except sqlite3.DatabaseError as error:
+            raise DamagedFile(f"{self._file.path}: {error}") from error
+        return [codec.decode(outcome, LoopClosure) for _, outcome in rows]
 
     def note_failures(self, job_id: str, failures: int) -> None:
         """A job has failed so many times."""

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 
-from covinz import codec
 from covinz.bus import Query
 from covinz.config import Config
 from covinz.damage import rebuildable
@@ -29,6 +28,7 @@ from services.place_recognition.desk import (
     Desk,
     JobsAsked,
     LeaseAsked,
+    LoopsAsked,
     OutcomeBrought,
     RetryAsked,
     WorkerBack,
@@ -173,9 +173,11 @@ class PlaceRecognition:
         events = [] if first is None else [first, *inbox.drain(REQUESTS_PER_STEP - 1)]
         for event in events:
             self._handle(event)
+        # Who asked is answered before an entry is looked up, which takes longer than all of this.
+        self._desk.settle(self._clock_s())
         if self._pages and not self._holds_back:
             self._process_entry()
-        self._desk.settle(self._clock_s())
+            self._desk.settle(self._clock_s())
 
     def status(self) -> Status:
         """Cursor, open jobs, and what was found, skipped, accepted and rejected."""
@@ -210,8 +212,8 @@ class PlaceRecognition:
 
     def _handle(self, event: object) -> None:
         match event:
-            case StatusRequest(query):
-                query.reply(codec.encode(self.status()))
+            case StatusRequest():
+                event.answer(self.status())
             case LogReset(log_id):
                 self._start_over(log_id)
             case LogPage(entries=entries, head=head):
@@ -227,6 +229,7 @@ class PlaceRecognition:
                 LeaseAsked()
                 | OutcomeBrought()
                 | JobsAsked()
+                | LoopsAsked()
                 | RetryAsked()
                 | WorkerGone()
                 | WorkerBack()

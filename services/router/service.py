@@ -6,7 +6,6 @@ import logging
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
 
-from covinz import codec
 from covinz.access.roster import Roster, RosterError
 from covinz.bus import BusError, Router, open_router
 from covinz.service import Context, StatusRequest
@@ -32,7 +31,7 @@ def run(context: Context) -> None:
         while True:
             event = context.inbox.take(None if follower is None else POLL_S)
             if isinstance(event, StatusRequest):
-                event.query.reply(codec.encode(_status(context.instance)))
+                event.answer(_status(context.instance))
             if follower is not None:
                 follower.look()
 

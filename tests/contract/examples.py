@@ -135,10 +135,17 @@ EXAMPLES: dict[str, Any] = {
             types.JobRecord(LOOP_JOB, types.JobState.DONE, 1, LOOP),
         ),
     ),
+    "LoopRange": types.LoopRange(JOB),
+    "LoopRange-all": types.LoopRange(),
+    "LoopPage": types.LoopPage(OLD, (LOOP, FAST_LOOP)),
+    "LoopPage-empty": types.LoopPage("", ()),
     "Correction": types.Correction(QUERY, OLD, 12, turn(3, 2, 1), True, 1_700_000_000_000_000_000),
     "MapList": types.MapList((SUMMARY,)),
     "MapSnapshot": SNAPSHOT,
     "Status": types.Status("ingest", "main", OLD, 19, 1, 0, True, {"bytes": 1.5, "agents": 3.0}),
+    "Status-version": types.Status(
+        "ingest", "main", OLD, 1, 0, 0, False, {}, "0.1.0+messages.01234567", 10**18
+    ),
     "Status-idle": types.Status("router", "main", "", 0, 0, 0, False),
 }  # fmt: skip
 

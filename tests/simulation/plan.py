@@ -155,7 +155,8 @@ def _incident(draw: random.Random, num_robots: int) -> Incident:
     if kind == "power_cut_of_all":
         return Incident(at_s, "power_cut", "server", lasts_s)
     if kind == "disk_lost":  # of ingest: then there is a new log
-        return Incident(at_s, kind, "ingest", lasts_s)
+        target = draw.choice(["ingest", "ingest", "place_recognition", "optimizer"])
+        return Incident(at_s, kind, target, lasts_s)
     if kind == "router":
         return Incident(at_s, kind, "", min(lasts_s, 5.0))
     if kind == "clock_jump":

@@ -18,6 +18,7 @@ from covinz.types import (
     LogPage,
     LogRange,
     LoopClosure,
+    LoopPage,
     Rejected,
     Stored,
 )
@@ -106,6 +107,17 @@ class _EveryLoopIsNew(_Between):
         return self._bus.answer(key, rename if key == keyexprs.LOOP else callback)
 
 
+class _NoJournal(_Between):
+    """Does not see the loops of the journal of jobs."""
+
+    def ask(self, key: str, payload: bytes = b"", timeout_s: float | None = None) -> list[bytes]:
+        replies = self._bus.ask(key, payload, timeout_s)
+        if key != keyexprs.JOB_LOOPS:
+            return replies
+        pages = [codec.decode(reply, LoopPage) for reply in replies]
+        return [codec.encode(dataclasses.replace(page, loops=())) for page in pages]
+
+
 class _LogWithoutMemory(KeyframeLog):
     """Takes every upload for a new one."""
 
@@ -163,5 +175,6 @@ SABOTAGES: dict[str, Callable[[], Sabotage]] = {
         "place_recognition"
     ),
     "ingest does not know an upload again": lambda: Sabotage(runs={"ingest": _run_without_memory}),
+    "optimizer does not ask for the loops it lost": lambda: _wrapping("optimizer", _NoJournal),
     "optimizer does not know a loop again": lambda: _wrapping("optimizer", _EveryLoopIsNew),
 }

@@ -270,7 +270,8 @@ class Simulation:
             case "cut_off":
                 process.cut_off(lasts_s)
             case "disk_lost":
-                self._forgiven.update(name for robot in self._robots for name in robot.sent)
+                if process.name == "ingest":
+                    self._forgiven.update(name for robot in self._robots for name in robot.sent)
                 process.lose_disk(lasts_s)
             case "disk_full":
                 process.fill_disk(lasts_s)

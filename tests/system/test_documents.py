@@ -177,6 +177,8 @@ def test_the_guide_for_agents_runs(endpoint: str, folder: Path) -> None:
     assert counts["robot-1"] == 12 + 3 * NUM_IMAGES
     assert counts["robot-2"] == 1
     assert names["T_map_body"].shape == (4, 4)
-    assert "idle" in said[0] or "at work" in said[0]
+    spool, status = said[0], said[1]
+    assert "refused by the server: 1" in spool and "1 keyframes go with the next run" in spool
+    assert "idle" in status or "at work" in status
     assert (folder / "runs" / "kitchen" / "report.json").is_file()
     assert (folder / "runs" / "recorded" / "report.json").is_file()

@@ -91,7 +91,7 @@ def test_the_optimizer_on_a_full_disk_acks_nothing_and_goes_on_by_itself(tmp_pat
     data = tmp_path / "data"
     with (
         disks.small_file_system(data),
-        started(tmp_path, "router", "ingest", "optimizer") as server,
+        started(tmp_path, "router", "ingest", "place_recognition", "optimizer") as server,
     ):
         with Agent("a0", server.endpoint, tmp_path / "a0.spool", session=session(0)) as agent:
             sent = [agent.send(content(k)) for k in range(40)]

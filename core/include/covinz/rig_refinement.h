@@ -47,7 +47,9 @@ struct RigRefinementOptions {
   double max_inverse_distance_per_m = 10.0;
   // A keypoint is an inlier up to this error [px] after the refinement.
   double max_error_px = 2.0;
-  int max_num_iterations = 8;
+  // Mostly 5 are enough. A refinement that is cut off starts the next round with points triangulated
+  // anew, so that it may not get on at all: that took longer than to let it end.
+  int max_num_iterations = 24;
   // Stop when an iteration lowers the cost by less than this part.
   double min_relative_decrease = 1e-4;
   InstructionSet instruction_set = BestInstructionSet();

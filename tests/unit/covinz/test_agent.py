@@ -14,10 +14,11 @@ import pytest
 
 from covinz import codec, keyexprs
 from covinz.agent import Agent
-from covinz.bus import BusError, Query
+from covinz.bus import BusError, MessageTooLarge, Query
 from covinz.config import AgentConfig, Config, IngestConfig
 from covinz.memory_bus import Hub, InMemoryBus
 from covinz.spool import SpoolError
+from covinz.spool_writer import StampError
 from covinz.types import (
     ULID_PATTERN,
     Gap,
@@ -175,6 +176,46 @@ def test_a_pause_that_the_server_asked_for_is_kept(hub: Hub, bus: InMemoryBus, s
         agent.send(content(1))
         assert not agent.wait_delivered(0.1)
         assert len(ingest.payloads) == 1
+    ingest.close()
+
+
+def test_a_pause_that_the_server_asked_for_outlives_a_success(
+    hub: Hub, bus: InMemoryBus, spool: Path
+) -> None:
+    first = message(0)
+    answers = {first: None}
+    ingest = ScriptedIngest(hub, lambda payload: answers.get(payload, RetryAfter(60.0, "busy")))
+    config = HASTY.model_copy(update={"window": 2})
+    with agent_on(bus, spool, config, session=SESSION) as agent:
+        agent.send(content(0))
+        ingest.wait_for_uploads(1)
+        agent.send(content(1))
+        ingest.wait_for_uploads(2)
+        ingest.waiting[0].reply(codec.encode(Stored()))
+        agent.send(content(2))
+        assert not agent.wait_delivered(0.1)
+        assert (len(ingest.payloads), agent.pending) == (2, 2)
+    ingest.close()
+
+
+def test_a_refusal_that_the_disk_cannot_keep_stops_nobody(
+    hub: Hub, bus: InMemoryBus, spool: Path
+) -> None:
+    def answer(payload: bytes) -> UploadReply:
+        return Rejected("malformed", "") if payload == message(0) else Stored()
+
+    ingest = ScriptedIngest(hub, answer)
+    folder = spool.with_name("a0.spool.rejected")
+    folder.write_bytes(b"")  # in its way
+    config = HASTY.model_copy(update={"window": 1})
+    with agent_on(bus, spool, config, session=SESSION) as agent:
+        for seq in range(5):
+            agent.send(content(seq))
+        ingest.wait_for_uploads(6)
+        assert set(ingest.payloads) >= {message(seq) for seq in range(5)}
+        folder.unlink()
+        assert agent.wait_delivered(WAIT_S)
+        assert (agent.report().rejected, len(list(folder.iterdir()))) == (1, 2)
     ingest.close()
 
 
@@ -369,12 +410,35 @@ def test_keyframes_of_no_use_are_refused_at_once(bus: InMemoryBus, spool: Path) 
     with Agent("a0", bus, spool, config) as agent:
         with pytest.raises(ValueError, match="rigid"):
             agent.send(dataclasses.replace(content(0), T_odom_body=bad_pose))
-        with pytest.raises(ValueError, match="at most 5000"):
+        with pytest.raises(MessageTooLarge, match="at most 5000"):
             agent.send(content(0, num_features=1000))
         with pytest.raises(ValueError, match="stamp_ns"):
             agent.send(dataclasses.replace(content(0), stamp_ns=-1))
         assert agent.pending == 0
+        assert agent.send(content(1)).seq == 0
+        with pytest.raises(StampError):
+            agent.send(content(0))
+        agent.new_session()
         assert agent.send(content(0)).seq == 0
+
+
+def test_an_agent_that_is_closed_takes_nothing_more(bus: InMemoryBus, spool: Path) -> None:
+    with agent_on(bus, spool) as agent:
+        agent.send(content(0))
+    with pytest.raises(SpoolError, match="closed"):
+        agent.send(content(1))
+
+
+def test_what_was_dropped_is_counted(hub: Hub, bus: InMemoryBus, spool: Path) -> None:
+    config = HASTY.model_copy(update={"max_spool_bytes": 6 * len(message())})
+    with agent_on(bus, spool, config) as agent:
+        for seq in range(30):
+            agent.send(content(seq))
+        report = agent.report()
+    assert report.bytes <= 6 * len(message())
+    # What is pending are keyframes and a gap, or some where the first was tried to be sent before.
+    assert 31 <= report.dropped + report.pending <= 31 + HASTY.window
+    assert report.rejected == 0
 
 
 def test_malformed_names(bus: InMemoryBus, spool: Path) -> None:

@@ -414,6 +414,15 @@ def test_a_damaged_gap_is_written_anew(path: Path) -> None:
     spool.close()
 
 
+def test_a_row_that_is_nonsense_is_an_error(path: Path) -> None:
+    spool = opened(path)
+    send(spool, 0)
+    spool._file.db.execute("UPDATE outbox SET first_seq = 'x'")
+    with pytest.raises(SpoolError, match="row 1 is damaged"):
+        spool.take()
+    spool.close()
+
+
 def test_acknowledged_is_acknowledged_though_the_disk_be_full(path: Path) -> None:
     spool = opened(path)
     send(spool, 0, 1)

@@ -29,6 +29,7 @@ from covinz.types import (
     Stored,
     UploadReply,
 )
+from services.ingest.agent_book import AgentBook
 from services.ingest.intake import Intake, Upload
 from services.ingest.keyframe_log import KeyframeLog
 from services.ingest.service import Ingest
@@ -73,7 +74,8 @@ class Bench:
         self.log = KeyframeLog(path, busy_timeout_s=0.05)
         self.hub = Hub()
         self.bus = self.hub.join()
-        self.ingest = Ingest(self.log, self.intake, self.bus, config, "ingest")
+        self.book = AgentBook("ingest", min_features=3)
+        self.ingest = Ingest(self.log, self.intake, self.bus, config, "ingest", self.book)
 
     def handle(self, *questions: Question) -> list[UploadReply]:
         for question in questions:

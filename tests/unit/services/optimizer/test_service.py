@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -36,6 +37,7 @@ from covinz.types import (
 from services.optimizer.components import Component
 from services.optimizer.doors import RETRY_AFTER_S, Asked, LoopBrought
 from services.optimizer.loop_store import LoopStore
+from services.optimizer.lost_loops import LoopsFound
 from services.optimizer.service import Optimizer
 from services.optimizer.unsent import RETRY_S
 from services.optimizer.worker import OptimisationCrashed, run_job
@@ -63,8 +65,10 @@ class Question:
 class Bench:
     """An optimizer whose log, clock and worker are in the hands of the test."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, has_journal: bool = False) -> None:
         self.folder = folder
+        self.has_journal = has_journal
+        self.looks: list[str] = []
         self.now_s = 100.0
         hub = Hub()
         self._bus, self._listener = hub.join(), hub.join()
@@ -86,6 +90,7 @@ class Bench:
             "optimizer",
             clock_s=lambda: self.now_s,
             now_ns=lambda: 5,
+            look_for_loops=self.looks.append if self.has_journal else None,
         )
 
     def set_writable(self, writable: bool) -> None:
@@ -423,6 +428,34 @@ def test_corrections_of_another_log_are_news_though_the_clock_was_set_back(bench
     bench.read(PAIR, OTHER_LOG)
     after = bench.heard(2)
     assert min(c.stamp_ns for c in after) > max(c.stamp_ns for c in before)
+
+
+def test_loops_of_the_journal_are_taken_before_anything_is_optimised(tmp_path: Path) -> None:
+    with closing(Bench(tmp_path, has_journal=True)) as bench:
+        bench.begin()
+        bench.read(PAIR)
+        assert bench.looks == [LOG]
+        bench.settle()
+        assert bench.jobs == [] and bench.status().dirty
+        bench.optimizer.handle([LoopsFound(OTHER_LOG, ())])  # of an earlier question
+        bench.optimizer.handle([LoopsFound(LOG, (BRIDGE,))])
+        assert bench.jobs == [] and bench.status().counters["recovered_loops"] == 1
+        bench.optimizer.handle([LoopsFound(LOG, ())])
+        bench.settle()
+        assert bench.run() == 1
+        assert not bench.status().dirty
+        assert [summary.num_loops for summary in bench.maps().maps] == [1]
+        assert bench.bring(BRIDGE) == Duplicate()
+        # The next time it has all, most likely: it looks, but does not wait.
+        bench.restart()
+        bench.begin()
+        bench.read(PAIR)
+        assert bench.run() == 1
+        assert bench.status().dirty
+        bench.optimizer.handle([LoopsFound(LOG, (BRIDGE,))])
+        bench.optimizer.handle([LoopsFound(LOG, ())])
+        assert not bench.status().dirty
+        assert "recovered_loops" not in bench.status().counters
 
 
 def test_loops_wait_until_a_log_is_known(bench: Bench) -> None:

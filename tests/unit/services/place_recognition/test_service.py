@@ -81,9 +81,11 @@ class Question:
 class Process:
     """One life of the process, moved on step by step."""
 
-    def __init__(self, world: Any, path: Path, stack: ExitStack) -> None:
+    def __init__(
+        self, world: Any, path: Path, stack: ExitStack, max_pending_jobs: int = 1000
+    ) -> None:
         self.inbox = Inbox()
-        config = PlaceRecognitionConfig(lease_s=60.0)
+        config = PlaceRecognitionConfig(lease_s=60.0, max_pending_jobs=max_pending_jobs)
         journal = stack.enter_context(closing(Journal(path)))
         self.dispatcher: Dispatcher[Query] = Dispatcher(config, journal)
         bus = stack.enter_context(closing(Hub().join()))
@@ -267,3 +269,37 @@ def test_the_shipped_vocabulary_works_with_the_defaults(world: Any) -> None:
     recognizer = recognizer_factory(Config(), lambda camera_hash: None)()
     assert recognizer.process(LogEntry(0, world.keyframe("a", 0, 0))) == []
     assert recognizer.counters["indexed"] == 1
+
+
+def test_what_was_logged_before_waits_in_the_log_and_news_are_shed(
+    world: Any, tmp_path: Path, entries: list[LogEntry], start: Start
+) -> None:
+    everything = start()
+    everything.read(entries)
+    wanted = [job.id for job in everything.jobs()]
+    limit, old = 2, len(entries) - 2
+    assert len(wanted) > 2 * limit
+    with ExitStack() as stack:
+        process = Process(world, tmp_path / "other.sqlite", stack, limit)
+        process.step(LogReset(LOG), LogPage(LOG, old, tuple(entries[:old])))
+        for _ in range(len(entries)):
+            process.step(StatusRequest(Question()))
+        # Nobody works: the log is read no further, and nothing is given up.
+        status = process.service.status()
+        assert status.cursor < old and status.pending >= limit
+        assert "rejected.shed" not in status.counters
+        while process.service.status().cursor < old:
+            for job in process.jobs():
+                process.dispatcher.finish(rejection(job))
+            process.step(StatusRequest(Question()))
+        made = len(process.jobs())
+        assert [job.id for job in process.jobs()] == wanted[:made]
+        process.step(LogPage(LOG, len(entries), tuple(entries[old:])))
+        while process.service.status().cursor < len(entries):
+            process.step(StatusRequest(Question()))
+        # News come whether anybody works or not; all jobs are there, some of them given up.
+        assert [job.id for job in process.jobs()] == wanted
+        status = process.service.status()
+        assert status.pending <= limit
+        shed, done = status.counters["rejected.shed"], status.counters["rejected.matches"]
+        assert shed > 0 and shed + done + status.pending == len(wanted)
