@@ -531,12 +531,50 @@ def test_a_refusal_that_cannot_be_kept_leaves_the_keyframe_in_the_spool(path: Pa
     spool.close()
 
 
-def test_a_spool_of_another_version(path: Path) -> None:
+def test_a_spool_of_a_newer_version(path: Path) -> None:
     opened(path).close()
     with contextlib.closing(sqlite3.connect(path)) as db:
-        db.execute("PRAGMA user_version = 1")
-    with pytest.raises(SpoolError, match="format 1, this program reads format 2"):
+        db.execute("PRAGMA user_version = 3")
+    with pytest.raises(SpoolError, match="format 3, this program reads format 2"):
         opened(path)
+
+
+# As of 22 November 2026.
+FORMAT_1 = """
+    CREATE TABLE owner (agent TEXT NOT NULL);
+    CREATE TABLE session (session TEXT PRIMARY KEY, next_seq INTEGER NOT NULL);
+    CREATE TABLE camera (hash TEXT PRIMARY KEY, payload BLOB NOT NULL);
+    CREATE TABLE outbox (position INTEGER PRIMARY KEY AUTOINCREMENT, session TEXT NOT NULL,
+        is_gap INTEGER NOT NULL, first_seq INTEGER NOT NULL, last_seq INTEGER NOT NULL,
+        camera_hash TEXT NOT NULL, reason TEXT NOT NULL DEFAULT '', payload BLOB NOT NULL);
+    CREATE TABLE rejected (number INTEGER PRIMARY KEY AUTOINCREMENT, session TEXT NOT NULL,
+        is_gap INTEGER NOT NULL, first_seq INTEGER NOT NULL, last_seq INTEGER NOT NULL,
+        code TEXT NOT NULL, reason TEXT NOT NULL, payload BLOB NOT NULL);
+    PRAGMA user_version = 1;
+"""
+
+
+def test_a_spool_of_an_older_version_goes_on(path: Path) -> None:
+    name = int.from_bytes(b"cvzS", "big")
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        db.executescript(f"PRAGMA journal_mode = WAL; PRAGMA application_id = {name}; {FORMAT_1}")
+        db.execute("INSERT INTO owner VALUES ('a0')")
+        db.execute("INSERT INTO session VALUES (?, 3)", (SESSION,))
+        db.execute("INSERT INTO camera VALUES (?, ?)", (CAMERA.hash, CAMERA_MESSAGE))
+        for seq in (1, 2):
+            row = (SESSION, seq, seq, CAMERA.hash, message(seq))
+            db.execute("INSERT INTO outbox VALUES (NULL, ?, 0, ?, ?, ?, '', ?)", row)
+        db.execute("INSERT INTO rejected VALUES (NULL, ?, 0, 0, 0, 'x', '', x'00')", (SESSION,))
+        db.commit()
+    spool = opened(path)
+    assert spool.report().rejected == 1
+    assert spool.session(SESSION) == (3, 0)
+    send(spool, 3)
+    rows = take_all(spool)
+    assert [row.payload for row in rows] == [message(seq) for seq in (1, 2, 3)]
+    assert spool.camera(rows[0].camera_hash) == CAMERA_MESSAGE
+    spool.close()
+    opened(path).close()
 
 
 @pytest.mark.parametrize("file", ["a0.spool", "a0.spool-wal"])
