@@ -62,7 +62,7 @@ class Process:
         self._folder = folder
         self._wrap = wrap
         self._image: dict[str, bytes] = {}
-        self._earlier: list[dict[str, bytes]] = []
+        self._backup: dict[str, bytes] = {}
         self._is_disk_full = False
         self._clock_offset_ns = 0
 
@@ -91,17 +91,24 @@ class Process:
         self._network.trace("power cut" if is_power_cut else "killed", self.name, "")
         disk = self.disk
         self._image = disk.left_by_power_cut(self._draw) if is_power_cut else disk.left_by_kill()
-        self._earlier.append(self._image)
         self._end()
         self._scheduler.after(restart_s, self.start)
 
     def lose_disk(self, restart_s: float) -> None:
-        """It ends at once; its disk is empty then, or a copy from an earlier end of it is there."""
-        earlier = self._earlier[:]
+        """It ends at once, and everything that it had on its disk is gone."""
+        self._network.trace("loses its disk", self.name, "")
         self.kill(restart_s)
-        self._image = self._draw.choice([{}, *earlier])
-        what = "has an older disk" if self._image else "loses its disk"
-        self._network.trace(what, self.name, "")
+        self._image = {}
+
+    def back_up(self) -> None:
+        """Copy its disk as it is now."""
+        self._backup = self.disk.left_by_kill() if self.is_running else dict(self._image)
+
+    def roll_back(self, restart_s: float) -> None:
+        """It ends at once, and its disk is again as it was when it was backed up."""
+        self._network.trace("rolled back", self.name, "")
+        self.kill(restart_s)
+        self._image = dict(self._backup)
 
     def kill_at_write(self, writes: int, restart_s: float, is_power_cut: bool) -> None:
         """The same, in the middle of a commit: `writes` writes from now."""
