@@ -323,12 +323,6 @@ class OptimizerConfig(Section):
     odometry_of: Mapping[str, OdometryNoise] = {}
     # New keyframes alone start an optimisation after this long without other events. [s]
     settle_s: Positive = 1.0
-    # After an optimisation the next one waits so many times as long as it took, and takes all
-    # loops that came meanwhile: else every loop has its own, and they take a core from the solvers.
-    # [measured: decision 0031]
-    rest_factor: NonNegative = 3.0
-    # ... but no longer than this. [s; a robot can do with a correction a second]
-    max_rest_s: NonNegative = 1.0
     # A correction that moves further than this since the last one is marked as a jump. [m]
     jump_m: Positive = 0.1
     # The same for rotation. [rad]

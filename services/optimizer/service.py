@@ -165,7 +165,7 @@ class Optimizer:
         self._unsent = Unsent(store)
         self._epoch = 0
         self._running = False
-        self._quiet_since_s = self._started_s = self._rested_s = clock_s()
+        self._quiet_since_s = clock_s()
         for loop in store.loops():
             self._maps.add_loop(loop)
 
@@ -200,10 +200,7 @@ class Optimizer:
         """How long to wait for events; None: until there is one."""
         wake_s = [] if self._unsent.retry_at_s is None else [self._unsent.retry_at_s]
         if not self._running and self._caught_up and self._maps.stale(with_keyframes=True):
-            # Loops wait for the end of the rest only.
-            settled_s = self._quiet_since_s + self._config.settle_s
-            is_urgent = self._maps.stale(with_keyframes=False)
-            wake_s.append(self._rested_s if is_urgent else max(settled_s, self._rested_s))
+            wake_s.append(self._quiet_since_s + self._config.settle_s)
         return max(0.0, min(wake_s) - self._clock_s()) if wake_s else None
 
     def status(self) -> Status:
@@ -337,25 +334,18 @@ class Optimizer:
     # --- optimisation ------------------------------------------------------------------------
 
     def _optimise(self) -> None:
-        """Start a job when something is stale, none runs and the last one is long enough ago."""
-        if self._running or not self._caught_up or self._clock_s() < self._rested_s:
+        """Start a job when something is stale and none runs."""
+        if self._running or not self._caught_up:
             return
         settled = self._clock_s() >= self._quiet_since_s + self._config.settle_s
         stale = self._maps.stale(with_keyframes=settled)
         if stale:
-            self._running, self._started_s = True, self._clock_s()
+            self._running = True
             self._submit(tuple(map(self._maps.component, stale)), self._epoch)
-
-    def _rest(self) -> None:
-        """Not before a while there is another job: under load it takes many loops at once."""
-        now_s = self._clock_s()
-        rest_s = self._config.rest_factor * (now_s - self._started_s)
-        self._rested_s = now_s + min(rest_s, self._config.max_rest_s)
 
     def _finish(self, done: Optimised) -> None:
         """Publish what a job found as far as it is still true; what is not stays stale."""
         self._running = False
-        self._rest()
         if done.epoch != self._epoch:
             return
         self._counters["optimisations"] += 1

@@ -241,34 +241,6 @@ def test_a_loop_that_waits_for_keyframes_is_pending_but_not_dirty(bench: Bench) 
     assert bench.maps().maps[0].num_loops == 1
 
 
-def test_after_an_optimisation_that_took_long_loops_wait_for_the_next(bench: Bench) -> None:
-    bench.begin()
-    bench.read(FLEET.keyframes)
-    bench.bring(FLEET.loops[0])
-    bench.now_s += 0.2
-    assert bench.run() == 1
-    for loop in FLEET.loops[1:]:
-        bench.bring(loop)
-    assert bench.jobs == []
-    assert bench.status().dirty
-    rest_s = CONFIG.rest_factor * 0.2
-    assert bench.optimizer.patience_s() == pytest.approx(rest_s)
-    bench.now_s += rest_s + 1e-6
-    bench.optimizer.handle([])
-    assert bench.run() == 1
-    assert bench.maps().maps[0].num_loops == len(FLEET.loops)
-
-
-def test_the_rest_has_a_limit(bench: Bench) -> None:
-    bench.begin()
-    bench.read(FLEET.keyframes)
-    bench.bring(FLEET.loops[0])
-    bench.now_s += 100.0
-    bench.run()
-    bench.bring(FLEET.loops[1])
-    assert bench.optimizer.patience_s() == pytest.approx(CONFIG.max_rest_s)
-
-
 def test_an_acked_loop_is_dirty_until_it_is_in_the_map(bench: Bench) -> None:
     bench.begin()
     bench.read(FLEET.keyframes)
