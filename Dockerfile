@@ -59,6 +59,8 @@ RUN apt-get update -qq \
  && rm -rf /var/lib/apt/lists/* /tmp/no-gl.deb \
  && useradd --uid 10001 --home-dir /app --no-create-home --shell /usr/sbin/nologin covinz \
  && install -d -o covinz -g covinz -m 700 /roster \
+ && install -d -o covinz -g covinz /backup /server/ingest /server/place_recognition \
+      /server/optimizer \
  && install -d -o covinz -g covinz /data
 
 COPY --from=build /opt/covinz /opt/covinz

@@ -19,12 +19,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from covinz import KeyframeContent, SpoolError
+from covinz import KeyframeContent, SpoolError, codec
 from covinz.agent import Agent
 from covinz.config import AgentConfig
 from covinz.spool import Spool
@@ -32,7 +33,7 @@ from covinz.spool_rows import SpoolEntry
 from covinz.types import KeyframeId
 from covinz.ulid import new_ulid
 from tests.processes import PATIENCE_S, Processes
-from tests.uploads import CAMERA, content, message
+from tests.uploads import CAMERA, content, keyframe, message
 
 NUM_FEATURES = 1000
 PERIOD_S = 0.02
@@ -45,12 +46,16 @@ HOG_BYTES = 32 * 1024 * 1024
 
 def fill(file: Path, count: int) -> None:
     """Leave a backlog in a spool, as an earlier run without a server does."""
-    session = new_ulid()
-    payload = message(0, num_features=NUM_FEATURES)
+    session, camera = new_ulid(), codec.encode(CAMERA)
+    made = keyframe(0, num_features=NUM_FEATURES)
     spool = Spool(file, "a0", AgentConfig())
     for first in range(0, count, 100):
-        names = [KeyframeId("a0", session, seq) for seq in range(first, first + 100)]
-        spool.append([SpoolEntry(name, 0, payload, CAMERA.hash, b"") for name in names])
+        entries = []
+        for seq in range(first, first + 100):
+            name = KeyframeId("a0", session, seq)
+            payload = codec.encode(replace(made, id=name))
+            entries.append(SpoolEntry(name, 0, payload, CAMERA.hash, camera))
+        spool.append(entries)
     spool.close()
 
 

@@ -16,10 +16,11 @@ Figures of a case:
   the same keyframes in the maps, counted beyond the first.
 - ``loops_missing``, ``loops_extra``, ``loops_changed``: accepted loops that an undisturbed server
   has and this one has not; the reverse; and those whose pose differs in any bit. The undisturbed
-  server is that of case ``clean`` where the logs are equal (``same_log``). Where a fault has
-  changed the order of keyframes, or their session, it is one that is given this case's own log.
+  server is that of case ``clean``. Only where the loops are others than there, and the fault has
+  changed the order of keyframes in the log or their session (``same_log`` is false), it is one that
+  is given this case's own log (``replayed``).
 - ``loops_unlike_clean``: loops that only one of this case and ``clean`` has, by robot and number of
-  the keyframe; 0 even where the order changed, unless that decided about a rig.
+  the keyframe, whatever the sessions.
 - ``recovery_s``: from the end of the cause until all that waited at the robot then (``backlog``) is
   acknowledged and every process answers for itself; null where nothing has to recover. The cause
   ends with the signal for `kill -9` and for a hang, which is for ever; with fair weather for links.

@@ -82,7 +82,7 @@ class Agent:
         machine: Machine = THIS_MACHINE,
     ) -> None:
         if not AGENT_PATTERN.fullmatch(agent_id):
-            raise ValueError(f"not an agent id: {agent_id!r}")
+            raise ValueError(f"not an agent id: {agent_id!r}; expected {AGENT_PATTERN.pattern}")
         self._agent = agent_id
         self._config = config or Config()
         self._machine = machine

@@ -117,8 +117,11 @@ def so3_log(R: ArrayLike) -> Array:
 
 def rotation_angle(T_or_R: ArrayLike) -> Array:
     """Angle [rad] in [0, pi] of rotations (..., 3, 3) or transforms (..., 4, 4)."""
-    matrix = np.asarray(T_or_R, dtype=float)
-    angle: Array = np.linalg.norm(so3_log(matrix[..., :3, :3]), axis=-1)
+    R = np.asarray(T_or_R, dtype=float)[..., :3, :3]
+    # Sine and cosine, twice each: no axis is needed, so this is good at every angle, and fast.
+    x, y, z = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    angle: Array = np.arctan2(np.sqrt(x * x + y * y + z * z), trace - 1.0)
     return angle
 
 

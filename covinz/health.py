@@ -18,7 +18,7 @@ from pathlib import Path
 
 from covinz import codec, config, keyexprs
 from covinz.bus import Bus, BusError, ZenohBus
-from covinz.service import instance_name
+from covinz.program import instance_name
 from covinz.types import Status
 
 logger = logging.getLogger(__name__)

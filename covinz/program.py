@@ -1,8 +1,9 @@
-"""Which program this is: its version, and the one of the messages that it knows."""
+"""Which program this is: its version, the one of the messages that it knows, its name."""
 
 from __future__ import annotations
 
 import hashlib
+import socket
 
 from covinz.wire import layout
 
@@ -17,3 +18,8 @@ def _version() -> str:
 NUMBER = "0.1.0"
 # Two programs with the same text understand every field of one another.
 VERSION = _version()
+
+
+def instance_name(text: str) -> str:
+    """The name of a process: ``{host}`` stands for this machine's, or container's, own name."""
+    return text.replace("{host}", socket.gethostname())

@@ -12,7 +12,6 @@ import contextlib
 import faulthandler
 import logging
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Callable
@@ -31,12 +30,12 @@ from covinz.inbox import Inbox, Stopped
 from covinz.logs import LogFormat, set_up_logging
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.niceness import give_way
-from covinz.program import VERSION
+from covinz.program import VERSION, instance_name
 from covinz.telemetry import Telemetry
 from covinz.types import Status
 from covinz.watch import Guard, Watch, end_with_failed_thread
 
-__all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "instance_name", "serve", "serve_on"]
+__all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "serve", "serve_on"]
 
 logger = logging.getLogger(__name__)
 
@@ -200,11 +199,6 @@ def serve_on(
             return 1
         logger.info("stopped")
         return 0
-
-
-def instance_name(text: str) -> str:
-    """The name of a process: ``{host}`` stands for this machine's, or container's, own name."""
-    return text.replace("{host}", socket.gethostname())
 
 
 def _arguments(name: str) -> argparse.Namespace:

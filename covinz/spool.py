@@ -13,6 +13,7 @@ from pathlib import Path
 from covinz import spool_rows
 from covinz.config import AgentConfig
 from covinz.dead_letters import DeadLetter, DeadLetters, now_text
+from covinz.disk_reserve import DiskReserve
 from covinz.durable import DurableFile, DurableFileError
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.spool_rows import SpoolEntry, SpoolRow
@@ -20,9 +21,16 @@ from covinz.types import KeyframeId, Rejected
 
 logger = logging.getLogger(__name__)
 
+# What a row takes in the file besides its payload, at most. [bytes]
+_SPARE_BYTES = 64 * 1024
+
 
 class SpoolError(RuntimeError):
     """The spool cannot be used: disk full, damaged, another agent's, or in use."""
+
+
+class _DiskFull(SpoolError):
+    """There may be room once what is settled is deleted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +80,8 @@ class Spool:
         self._config = config
         self._machine = machine
         self._letters = DeadLetters(Path(f"{path}.rejected"), config.max_rejected_bytes)
+        self._reserve = DiskReserve(Path(f"{path}.reserve"), spool_rows.RESERVE_BYTES)
+        self._room = threading.RLock()  # nothing is added while the reserve is given up
         self._lock = threading.Lock()  # the connection and what follows
         self._in_flight: set[int] = set()
         self._sent_gaps: set[int] = set()
@@ -110,6 +120,34 @@ class Spool:
 
     def append(self, entries: Sequence[SpoolEntry]) -> None:
         """Add keyframes, all or none; they are on the disk when this returns."""
+        with self._room:
+            try:
+                if not self._reserve.take():
+                    raise _DiskFull(f"{self._file.path}: the disk is full")
+                self._append(entries)
+            except _DiskFull:
+                if not (self._tidied_up() and self._fits_inside(entries)):
+                    raise
+                self._append_inside(entries)
+
+    def _append_inside(self, entries: Sequence[SpoolEntry]) -> None:
+        """Add keyframes where only the file itself has room; the reserve is lent to its log."""
+        self._reserve.give_up()
+        try:
+            self._append(entries)
+            self._empty_log()
+        finally:
+            self._reserve.take()
+
+    def _fits_inside(self, entries: Sequence[SpoolEntry]) -> bool:
+        with self._lock, _spool_errors(self._file.path):
+            db = self._file.db
+            (pages,) = db.execute("PRAGMA freelist_count").fetchone()
+            (page_bytes,) = db.execute("PRAGMA page_size").fetchone()
+        size = sum(len(entry.payload) + len(entry.camera_payload) for entry in entries)
+        return size <= spool_rows.BATCH_BYTES and pages * page_bytes >= 2 * size + _SPARE_BYTES
+
+    def _append(self, entries: Sequence[SpoolEntry]) -> None:
         with self._writing() as db:
             newest = 0
             for entry in entries:
@@ -155,6 +193,8 @@ class Spool:
         try:
             with self._writing(durable=False):  # if the disk forgets this, it is sent twice
                 pass  # what is settled goes with any transaction
+        except _DiskFull:
+            self._tidied_up()
         except SpoolError as error:
             logger.debug("a delivered upload stays on the disk for now: %s", error)
 
@@ -240,8 +280,30 @@ class Spool:
                 positions -= self._gone
             self._report = self._without_settled()
 
+    def _tidied_up(self) -> bool:
+        """Delete what is settled from a full disk; whether there is room again.
+
+        The file keeps its size, but has room inside, and the log beside it is emptied.
+        """
+        with self._room:
+            self._reserve.give_up()
+            try:
+                self._empty_log()
+                with self._writing():
+                    pass
+                self._empty_log()
+            except SpoolError:
+                return False
+            return self._reserve.take()
+
+    def _empty_log(self) -> None:
+        with self._lock, _spool_errors(self._file.path):
+            self._file.db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
     def _open(self) -> None:
         db = self._file.db
+        db.execute(f"PRAGMA wal_autocheckpoint = {spool_rows.CHECKPOINT_PAGES}")
+        self._reserve.take()
         with self._file.transaction():
             row = db.execute("SELECT agent, clock_s, dropped, rejected FROM owner").fetchone()
             if row is None:
@@ -337,4 +399,5 @@ def _spool_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, OSError) as error:
-        raise SpoolError(f"{path}: {error}") from error
+        is_full = getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL
+        raise (_DiskFull if is_full else SpoolError)(f"{path}: {error}") from error

@@ -11,6 +11,24 @@ from covinz import codec
 from covinz.durable import FileKind
 from covinz.types import Gap, KeyframeId
 
+
+def _upgrade_1(db: sqlite3.Connection) -> None:
+    """Format 1 knew no ages, times and checksums; what it kept of refusals stays in its table."""
+    for column in ("clock_s REAL", "dropped INTEGER", "rejected INTEGER"):
+        db.execute(f"ALTER TABLE owner ADD COLUMN {column} NOT NULL DEFAULT 0")
+    db.execute("ALTER TABLE session ADD COLUMN last_stamp_ns INTEGER NOT NULL DEFAULT 0")
+    for column in ("spooled_s REAL", "crc INTEGER"):
+        db.execute(f"ALTER TABLE outbox ADD COLUMN {column} NOT NULL DEFAULT 0")
+    for (position,) in db.execute("SELECT position FROM outbox").fetchall():
+        one = "SELECT payload FROM outbox WHERE position = ?"
+        (payload,) = db.execute(one, (position,)).fetchone()
+        crc = zlib.crc32(payload)
+        db.execute("UPDATE outbox SET crc = ? WHERE position = ?", (crc, position))
+    db.execute("UPDATE owner SET rejected = (SELECT COUNT(*) FROM rejected WHERE NOT is_gap)")
+    db.execute("CREATE INDEX gap_end ON outbox (session, last_seq) WHERE is_gap")
+    db.execute("CREATE INDEX gap_begin ON outbox (session, first_seq) WHERE is_gap")
+
+
 # `spooled_s` is in the spool's own time, which `owner.clock_s` carries from run to run.
 SPOOL_FILE = FileKind(
     name="keyframe spool",
@@ -42,7 +60,14 @@ SPOOL_FILE = FileKind(
     CREATE INDEX gap_end ON outbox (session, last_seq) WHERE is_gap;
     CREATE INDEX gap_begin ON outbox (session, first_seq) WHERE is_gap;
     """,
+    upgrades=(_upgrade_1,),
 )
+# The log beside the file is brought into it when it has so many pages: 0.5 MiB.
+CHECKPOINT_PAGES = 128
+# What is written in one commit should not be larger than this. [bytes]
+BATCH_BYTES = 256 * 1024
+# More than that log grows to: enough to delete when the disk is full. [bytes]
+RESERVE_BYTES = 1024 * 1024
 # Reasons of gaps.
 FULL = "spool full"
 TOO_OLD = "too old"

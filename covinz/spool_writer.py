@@ -1,6 +1,6 @@
 """Between `Agent.send` and the spool: a disk that is slow or full never holds up the robot.
 
-A thread of its own writes what was handed over, oldest first, as much as there is in one commit.
+A thread of its own writes what was handed over, oldest first, several in one commit.
 Who hands over waits for that commit, but only so long; then it goes on and the disk follows.
 """
 
@@ -10,6 +10,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from covinz import spool_rows
 from covinz.config import AgentConfig
 from covinz.machine import THIS_MACHINE, Machine
 from covinz.spool import Spool, SpoolError
@@ -159,13 +160,7 @@ class SpoolWriter:
 
     def _run(self) -> None:
         while batch := self._next():
-            error: SpoolError | None = None
-            try:
-                self._spool.append([handed.entry for handed in batch])
-            except SpoolError as failure:
-                error = failure
-                if self._failure is None:
-                    logger.error("cannot write keyframes to the disk: %s", error)
+            error = self._write(batch)
             with self._changed:
                 if error is None:
                     self._saved(batch)
@@ -175,15 +170,38 @@ class SpoolWriter:
             if error is None:
                 self._on_saved()
 
+    def _write(self, batch: list[_Handed]) -> SpoolError | None:
+        """Write to the disk; what is wrong, if it fails."""
+        try:
+            self._spool.append([handed.entry for handed in batch])
+        except SpoolError as error:
+            if self._failure is None:
+                logger.error("cannot write keyframes to the disk: %s", error)
+            return error
+        except Exception as error:  # a mistake of ours must not end the thread
+            logger.exception("cannot write keyframes to the disk")
+            return SpoolError(f"cannot write keyframes to the disk: {error}")
+        return None
+
     def _next(self) -> list[_Handed]:
-        """All that waits, once there is something; nothing at the end."""
+        """What waits, the oldest of it, once there is something; nothing at the end."""
         with self._changed:
             if self._queue and self._failure is not None and not self._stopping:
                 self._changed.wait_for(lambda: self._stopping, self._retry_s)
             elif self._failure is not None and self._stopping:
                 return []
             self._changed.wait_for(lambda: self._stopping or self._queue)
-            return list(self._queue)
+            return self._batch()
+
+    def _batch(self) -> list[_Handed]:
+        batch: list[_Handed] = []
+        size = 0
+        for handed in self._queue:
+            size += len(handed.entry.payload)
+            if batch and size > spool_rows.BATCH_BYTES:
+                break
+            batch.append(handed)
+        return batch
 
     def _saved(self, batch: list[_Handed]) -> None:
         self._failure = None

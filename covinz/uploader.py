@@ -19,7 +19,7 @@ logger = logging.getLogger(__name__)
 
 # An upload that timed out so often lets newer ones go first: something may be wrong with it alone.
 _PATIENCE = 3
-# So many rows that timed out are watched at once.
+# So many such rows are watched at once.
 _MAX_SUSPECTS = 100
 # The longest pause that an overloaded server may ask for. [s]
 _MAX_OVERLOAD_S = 60.0
@@ -94,7 +94,7 @@ class Uploader:
         self._may_hurry = True  # whether news may end the pause early
         self._backoff = Backoff(config, random.Random(machine.random_bytes(8)))
         self.put_off: RetryAfter | None = None
-        self._timeouts: Counter[int] = Counter()
+        self._strikes: Counter[int] = Counter()  # by position: what speaks against the row
         self._registering = machine.lock()  # one thread registers a camera, the others wait
         self._registered: set[str] = set()
         self._threads = [
@@ -130,18 +130,26 @@ class Uploader:
 
     def _run(self) -> None:
         while (row := self._next()) is not None:
-            started = self._clock_s()
-            try:
-                answer: UploadReply | None = self._attempt(row)
-            except _NoAnswer as error:
-                logger.debug("%s/%d: %s", row.session, row.first_seq, error)
-                answer = None
-            except SpoolError as error:
-                self._complain("cannot read the calibration of an upload: %s", error)
-                answer = None
-            timed_out = self._clock_s() - started >= self._config.ack_timeout_s
+            answer, strikes = self._outcome(row)
             is_settled = self._settle(row, answer)
-            self._done(row.position, answer, is_settled, timed_out)
+            if isinstance(answer, Rejected) and not is_settled:
+                strikes = _PATIENCE  # the disk did not take it
+            self._done(row.position, answer, is_settled, strikes)
+
+    def _outcome(self, row: SpoolRow) -> tuple[UploadReply | None, int]:
+        """Send a row: the answer, if there was one, and how much speaks against the row itself."""
+        started = self._clock_s()
+        try:
+            return self._attempt(row), 0
+        except _NoAnswer as error:
+            logger.debug("%s/%d: %s", row.session, row.first_seq, error)
+            timed_out = self._clock_s() - started >= self._config.ack_timeout_s
+            return None, int(timed_out)
+        except SpoolError as error:
+            self._complain("cannot read the calibration of an upload: %s", error)
+        except Exception:  # a mistake of ours or of the bus must not end the uploads for good
+            logger.exception("an upload failed and will be tried again")
+        return None, _PATIENCE
 
     def _next(self) -> SpoolRow | None:
         """The next row to send, when it is time; None at the end."""
@@ -151,7 +159,8 @@ class Uploader:
                     return None
                 self._under_way += 1
                 known = self._news
-            row = self._take()  # may wait for the disk, so without the lock
+                suspects = [p for p, strikes in self._strikes.items() if strikes >= _PATIENCE]
+            row = self._take(suspects)  # may wait for the disk, so without the lock
             if row is not None:
                 return row
             self._wait_for_news(known)
@@ -181,8 +190,7 @@ class Uploader:
         self._news += 1
         self._changed.notify_all()
 
-    def _take(self) -> SpoolRow | None:
-        suspects = [p for p, count in self._timeouts.items() if count >= _PATIENCE]
+    def _take(self, suspects: list[int]) -> SpoolRow | None:
         try:
             return self._spool.take(later=suspects)
         except SpoolError as error:
@@ -245,7 +253,7 @@ class Uploader:
         logger.log(logging.DEBUG if self._stopping else logging.ERROR, text, error)
 
     def _done(
-        self, position: int, answer: UploadReply | None, is_settled: bool, timed_out: bool
+        self, position: int, answer: UploadReply | None, is_settled: bool, strikes: int
     ) -> None:
         with self._changed:
             self._under_way -= 1
@@ -254,14 +262,12 @@ class Uploader:
                 if self._may_hurry:  # a pause that the server asked for is kept
                     self._resume_at = 0.0
                 self._backoff.reset()
-                self._timeouts.pop(position, None)
+                self._strikes.pop(position, None)
             else:
                 self._pause(answer.seconds if isinstance(answer, RetryAfter) else 0.0)
                 self._note_put_off(answer)
-                if timed_out:
-                    self._suspect(position)
-                if isinstance(answer, Rejected):  # the disk did not take it: others first
-                    self._timeouts[position] = _PATIENCE
+                if strikes:
+                    self._suspect(position, strikes)
             self._tell()
 
     def _note_put_off(self, answer: UploadReply | None) -> None:
@@ -282,7 +288,7 @@ class Uploader:
             self._may_hurry = True
             self._resume_at = now + self._backoff.failed()
 
-    def _suspect(self, position: int) -> None:
-        self._timeouts[position] += 1
-        if len(self._timeouts) > _MAX_SUSPECTS:  # then it is the link, not the rows
-            self._timeouts.clear()
+    def _suspect(self, position: int, strikes: int) -> None:
+        self._strikes[position] += strikes
+        if len(self._strikes) > _MAX_SUSPECTS:  # then it is the link or the disk, not the rows
+            self._strikes.clear()

@@ -21,6 +21,7 @@ from covinz.config import ENVIRONMENT_PREFIX, BusConfig
 from covinz.run import free_port
 from covinz.scenario import load_scenario
 from covinz.supervisor import child_environment
+from scripts.compose_access import Access, let_in
 from scripts.compose_project import (
     CHECKOUT,
     IMAGE,
@@ -34,6 +35,8 @@ from scripts.compose_project import (
 )
 
 DEFAULT_SCENARIO = CHECKOUT / "scenarios" / "hall.yaml"
+# Who is let in is in sooner. [s]
+CONNECT_S = 3.0
 BEGAN_S = time.monotonic()
 
 
@@ -47,10 +50,16 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="covinz-compose-check-") as temporary:
         folder = arguments.keep or Path(temporary)
         name, port = f"covinz-check-{os.getpid()}", free_port()
-        project = ComposeProject(compose, name, port, folder, environment(scenario.config))
+        settings = environment(scenario.config)
+        project = ComposeProject(compose, name, port, folder, settings, arguments.tls)
         robots = sorted(agent.id for agent in scenario.agents)
         try:
-            check(project, f"tcp/127.0.0.1:{port}", arguments, robots, folder)
+            image(project)
+            access = Access(port)
+            if arguments.tls:
+                access = let_in(project, port, robots, folder / "credentials")
+                say(f"{len(robots)} robots and an operator in the roster")
+            check(project, access, arguments, robots, folder)
         except (CheckFailed, client.ServerUnavailable, TimeoutError) as error:
             sys.stderr.write(project.logs())
             say(f"FAILED: {error}")
@@ -64,19 +73,16 @@ def main() -> int:
 
 def check(
     project: ComposeProject,
-    endpoint: str,
+    access: Access,
     arguments: argparse.Namespace,
     robots: list[str],
     folder: Path,
 ) -> None:
     """Everything, in order; raises CheckFailed."""
-    project.build()
-    image = inspect(IMAGE)
-    say(f"image built: {image['Size'] / 1e6:.0f} MB")
     project.up(3)
     say("up with 3 loop solvers, all healthy")
-    with closing(ZenohBus.open(BusConfig(endpoint=endpoint))) as bus:
-        with played(arguments.scenario, endpoint, arguments.rate, folder) as player:
+    with closing(ZenohBus.open(access.bus())) as bus:
+        with played(arguments.scenario, access, arguments.rate, folder) as player:
             disturb(project, bus, player)
             if player.wait(PATIENCE_S) != 0:
                 raise CheckFailed(f"the player ended with {player.returncode}")
@@ -85,16 +91,21 @@ def check(
         say("server idle")
         project.up(5)
         say("all containers healthy")
-    look_at(report(arguments.scenario, endpoint, folder), robots)
+    covinz("doctor", access=access)
+    say("the doctor finds nothing bad")
+    if access.credentials is not None:
+        stay_out(access)
+        say("nobody gets in without credentials")
+    look_at(report(arguments.scenario, access, folder), robots)
     for line in memory(project.containers()):
         say(f"memory: {line}")
-    before = exported(endpoint, folder / "before")
+    before = exported(access, folder / "before")
     project.down(volumes=False)
     say("everything stopped, containers removed")
     project.up(3)
-    with closing(ZenohBus.open(BusConfig(endpoint=endpoint))) as bus:
+    with closing(ZenohBus.open(access.bus())) as bus:
         client.wait_idle(bus, PATIENCE_S)
-    if exported(endpoint, folder / "after") != before:
+    if exported(access, folder / "after") != before:
         raise CheckFailed(f"the map is another after a restart: {folder}/before, {folder}/after")
     lines = sum(len(text.splitlines()) for text in before.values())
     say(f"up again: same map, {lines} lines of {len(before)} exported files are equal")
@@ -115,6 +126,19 @@ def disturb(project: ComposeProject, bus: Bus, player: subprocess.Popen[bytes]) 
     say(f"a killed loop solver is back with {head(bus)} keyframes in the log")
     if player.poll() is not None:
         raise CheckFailed("the robots had finished before the worker was back; lower --rate")
+
+
+def image(project: ComposeProject) -> None:
+    """Build it."""
+    project.build()
+    say(f"image built: {inspect(IMAGE)['Size'] / 1e6:.0f} MB")
+
+
+def stay_out(access: Access) -> None:
+    """Raise CheckFailed if somebody without credentials gets in."""
+    with closing(ZenohBus.open(BusConfig(endpoint=access.endpoint))) as bus:
+        if bus.wait_connected(CONNECT_S):
+            raise CheckFailed("the server let somebody in who has no credentials")
 
 
 def reach(bus: Bus, player: subprocess.Popen[bytes], keyframes: int) -> None:
@@ -151,10 +175,10 @@ def restarted(container: str) -> bool | None:
 
 @contextmanager
 def played(
-    scenario: Path, endpoint: str, rate: float, folder: Path
+    scenario: Path, access: Access, rate: float, folder: Path
 ) -> Iterator[subprocess.Popen[bytes]]:
     """The robots of a scenario, played from outside of the containers."""
-    argv = [sys.executable, "-m", "covinz_agents.play", str(scenario), "--endpoint", endpoint]
+    argv = [sys.executable, "-m", "covinz_agents.play", str(scenario), *access.of_robots]
     argv += ["--rate", str(rate), "--spool", str(folder / "spool"), "--no-progress"]
     argv += ["--summary", str(folder / "agents.json")]
     player = subprocess.Popen(argv, env=child_environment(), cwd=CHECKOUT)
@@ -165,10 +189,10 @@ def played(
         player.wait()
 
 
-def report(scenario: Path, endpoint: str, folder: Path) -> dict[str, Any]:
+def report(scenario: Path, access: Access, folder: Path) -> dict[str, Any]:
     """`covinz report` of the running server."""
     out = folder / "report"
-    covinz("report", str(scenario), "--played", str(folder), "--out", str(out), endpoint=endpoint)
+    covinz("report", str(scenario), "--played", str(folder), "--out", str(out), access=access)
     made: dict[str, Any] = json.loads((out / "report.json").read_text())
     return made
 
@@ -187,9 +211,9 @@ def look_at(made: Mapping[str, Any], robots: list[str]) -> None:
         raise CheckFailed("there are candidates without an outcome")
 
 
-def exported(endpoint: str, folder: Path) -> dict[str, str]:
+def exported(access: Access, folder: Path) -> dict[str, str]:
     """What `covinz export` writes, by file; without the revision, which counts optimisations."""
-    covinz("export", "--out", str(folder), endpoint=endpoint)
+    covinz("export", "--out", str(folder), access=access)
     return {
         file.name: "\n".join(
             line for line in file.read_text().splitlines() if not line.startswith("# map ")
@@ -198,9 +222,9 @@ def exported(endpoint: str, folder: Path) -> dict[str, str]:
     }
 
 
-def covinz(*arguments: str, endpoint: str) -> None:
+def covinz(*arguments: str, access: Access) -> None:
     """Run a covinz command as a user does."""
-    argv = [sys.executable, "-m", "covinz.cli", *arguments, "--endpoint", endpoint]
+    argv = [sys.executable, "-m", "covinz.cli", *arguments, *access.of_commands]
     if subprocess.run(argv, cwd=CHECKOUT, stdout=subprocess.DEVNULL).returncode != 0:
         raise CheckFailed(f"covinz {arguments[0]} failed")
 
@@ -232,6 +256,7 @@ def _new_folder(text: str) -> Path:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="scripts/compose_check.sh", description=__doc__)
     parser.add_argument("scenario", type=Path, nargs="?", default=DEFAULT_SCENARIO)
+    parser.add_argument("--tls", action="store_true", help="with docker-compose.tls.yml on top")
     parser.add_argument("--rate", type=float, default=1.0, help="multiple of real time [1]")
     parser.add_argument(
         "--keep", type=_new_folder, metavar="FOLDER", help="keep report and maps in a new folder"

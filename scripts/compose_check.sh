@@ -3,7 +3,7 @@
 # one map, does it stay whole while workers come, go and are killed, is it the same after everything was stopped?
 # Exit code 0: passed, 1: failed, 77: skipped because there is no engine (the reason is said).
 #
-#   scripts/compose_check.sh [SCENARIO] [--rate X] [--keep FOLDER]
+#   scripts/compose_check.sh [SCENARIO] [--tls] [--rate X] [--keep FOLDER]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

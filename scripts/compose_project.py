@@ -35,6 +35,7 @@ class ComposeProject:
         port: Loopback port for robots.
         folder: For the override file.
         settings: ``COVINZ__SECTION__FIELD`` for all services.
+        secured: With docker-compose.tls.yml on top.
     """
 
     def __init__(
@@ -44,14 +45,17 @@ class ComposeProject:
         port: int,
         folder: Path,
         settings: Mapping[str, str],
+        secured: bool = False,
     ) -> None:
         override = folder / "override.json"
         services = ("router", "ingest", "place_recognition", "loop_solver", "optimizer")
         override.write_text(
             json.dumps({"services": {name: {"environment": dict(settings)} for name in services}})
         )
-        files = ["--file", str(CHECKOUT / "docker-compose.yml"), "--file", str(override)]
-        self._command = [*command, *files, "--project-name", name]
+        files = ["docker-compose.yml", *(["docker-compose.tls.yml"] if secured else [])]
+        options = [word for file in files for word in ("--file", str(CHECKOUT / file))]
+        options += ["--file", str(override), "--project-name", name]
+        self._command = [*command, *options]
         self._environ = dict(
             os.environ, COVINZ_IMAGE=IMAGE, COVINZ_LISTEN="127.0.0.1", COVINZ_PORT=str(port)
         )
@@ -71,6 +75,10 @@ class ComposeProject:
     def down(self, *, volumes: bool) -> None:
         """Stop and remove the containers, and with `volumes` all that they kept."""
         self._run("down", *(["--volumes", "--remove-orphans"] if volumes else []))
+
+    def roster_add(self, *arguments: str) -> str:
+        """Let a robot or operator in; returns its credentials."""
+        return self._output("run", "--rm", "-T", "roster", "add", *arguments, "--out", "-")
 
     def logs(self) -> str:
         """What all processes have written lately."""

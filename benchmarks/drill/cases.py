@@ -130,12 +130,6 @@ def _disks() -> dict[str, Case]:
             lambda s: s.fill_disk(s.spools, 6.0),
             robot_disk_mb=16.0,
         ),
-        "disk_full_agent_offline": Case(
-            "link down until the spool has filled the robot's disk",
-            lambda s: s.weather_until_refused(_OUTAGE),
-            "tls",
-            robot_disk_mb=2.0,
-        ),
         "disk_full_server": Case(
             "the server's disk is full for 6 s",
             lambda s: s.fill_disk(s.data, 6.0),

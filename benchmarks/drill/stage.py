@@ -23,9 +23,6 @@ RATE = 4.0
 _RESTART_S = 1.0
 # So long is waited for a job to be under way; jobs come with nearly every keyframe. [s]
 _AT_WORK_S = 3.0
-# Calls of `send` that are refused before the link is back, and between two looks at them. [s]
-_REFUSALS = 20
-_LOOK_S = 0.05
 # Longer than any wait that is not a failure. [s]
 PATIENCE_S = 90.0
 
@@ -143,15 +140,6 @@ class Stage:
         self.wait(seconds)
         filler.unlink()
         return time.monotonic()
-
-    def weather_until_refused(self, weather: Weather) -> float:
-        """Other weather until the robot's own disk takes no more, and a little longer."""
-        assert self.network is not None
-        self.network.change(weather)
-        deadline = time.monotonic() + PATIENCE_S
-        while self.robot.refused < _REFUSALS and time.monotonic() < deadline:
-            self.wait(_LOOK_S)
-        return self.fair()
 
     def add_twofold_worker(self) -> None:
         """Another loop solver, whose outcomes all come twice."""

@@ -68,6 +68,11 @@ class Verdict:
     loops_extra: int
     loops_changed: int
 
+    @property
+    def loops_differ(self) -> bool:
+        """Whether the accepted loops are not those of an undisturbed server, to the last bit."""
+        return bool(self.loops_missing or self.loops_extra or self.loops_changed)
+
 
 def look(bus: Bus, timeout_s: float) -> End:
     """Wait until a server has nothing left to do, and ask for what it has.

@@ -153,6 +153,12 @@ def _robots(bus: Bus, ingest: Status, alive: set[str]) -> Iterator[Finding]:
                 f"two robots send as {robot}; only the first one's keyframes are taken",
                 "give each robot an id, and credentials, of its own",
             )
+        if ingest.counters.get(f"twins.{robot}"):
+            yield Finding(
+                Verdict.BAD,
+                f"{robot}: two programs send under this name",
+                "the later one has to wait: give each robot a name, and credentials, of its own",
+            )
         seen = clocks.ask(bus, keyexprs.agent_status(robot), ANSWER_S)
         if seen is not None and (robot in alive or seen.status.counters):
             yield from of_agent(robot, seen.status)

@@ -46,7 +46,7 @@ def _upgrade_1(db: sqlite3.Connection) -> None:
 
 
 # Big columns come last: SQLite reads a row only as far as it must, so a scan of the poses does
-# not touch the features. Without features the payload is the pose.
+# not touch the features. Of entries without features the payload is empty.
 LOG_FILE = FileKind(
     name="keyframe log",
     application_id=b"cvzL",

@@ -9,6 +9,9 @@ from covinz.durable import DurableFile
 # The value of `PRAGMA auto_vacuum` of files that can be made smaller.
 _INCREMENTAL = 2
 
+_BETWEEN = "WHERE log_index >= ? AND log_index < ?"
+_ALL_BUT_PAYLOAD = "log_index, agent, session, is_gap, first_seq, last_seq, digest, pose"
+
 
 class Retained:
     """The features in a log's file and the room that they take; for the log's thread.
@@ -41,20 +44,22 @@ class Retained:
         """Keep only the poses of all entries before index `until`."""
         # Not waiting for the disk: undone by a power cut it is done again.
         with self._file.transaction(durable=False) as db:
-            db.execute(
-                "UPDATE entry SET payload = pose WHERE log_index >= ? AND log_index < ?"
-                " AND NOT is_gap",
+            # Taken out and put in again: rows that only shrink would keep a page each.
+            rows = db.execute(
+                f"SELECT {_ALL_BUT_PAYLOAD}, CASE WHEN is_gap THEN payload ELSE x'' END FROM entry"
+                f" {_BETWEEN} ORDER BY log_index",
                 (self.features_from, until),
-            )
+            ).fetchall()
+            db.execute(f"DELETE FROM entry {_BETWEEN}", (self.features_from, until))
+            marks = ", ".join("?" * len(rows[0])) if rows else ""
+            db.executemany(f"INSERT INTO entry VALUES ({marks})", rows)
             db.execute("UPDATE retention SET features_from = ?", (until,))
         self.features_from = until
 
     def give_back(self, pages: int) -> None:
         """Make the file smaller by up to so many free pages."""
-        with self._file.transaction(durable=False) as db:
-            # Each row that is asked for frees a page.
-            for _ in db.execute(f"PRAGMA incremental_vacuum({pages})"):
-                pass
+        # As a script: `execute` would stop after the first page.
+        self._file.db.executescript(f"PRAGMA incremental_vacuum({pages})")
 
     def note_age(self, head: int, ran_s: float) -> None:
         """Ingest has run for `ran_s` more, and the log has `head` entries now."""

@@ -14,6 +14,7 @@ import pytest
 from covinz import config, health, service, supervisor
 from covinz.access.enrolment import LOCAL_HOSTS
 from covinz.access.roster import Roster
+from covinz.backup import KINDS
 from covinz.bus import endpoints
 from covinz.bus.settings import listening
 from scripts.compose_check import environment
@@ -49,8 +50,9 @@ def resolved(*above: Path, **environ: str) -> Json:
 
 @pytest.fixture(scope="module")
 def services() -> Json:
+    """The server's processes: those that start by themselves."""
     found: Json = resolved()["services"]
-    return found
+    return {name: one for name, one in found.items() if "profiles" not in one}
 
 
 @pytest.mark.parametrize("files", [[COMPOSE], [COMPOSE, SECURED]])
@@ -124,7 +126,17 @@ def test_volumes_are_for_the_services_that_have_durable_files(services: Json) ->
     }
     assert {name for name, volumes in mounted.items() if volumes} == durable
     assert all(mounted[name] == [(name, "/data")] for name in durable)
-    assert resolved()["volumes"].keys() == durable
+    assert resolved()["volumes"].keys() == {*durable, "backup"}
+
+
+def test_the_backup_sees_all_files_in_folders_of_their_own() -> None:
+    found = resolved()["services"]["backup"]
+    assert found["profiles"] == ["backup"]
+    mounted = {volume["target"]: volume["source"] for volume in found["volumes"]}
+    assert mounted.pop("/backup") == "backup"
+    assert mounted == {f"/server/{name}": name for name in KINDS}
+    made = DOCKERFILE.replace("\\\n", " ").split()
+    assert {"/backup", *mounted} <= set(made)
 
 
 def test_robots_reach_the_router_only_and_from_this_machine_unless_told(services: Json) -> None:
@@ -146,7 +158,7 @@ def test_in_the_clear_only_the_router_says_that_it_may(services: Json) -> None:
 
 def test_with_tls_everybody_has_credentials_and_the_router_a_roster() -> None:
     secured = resolved(SECURED)["services"]
-    assert secured.keys() == {*SERVICES, "roster"}
+    assert secured.keys() == {*SERVICES, "roster", "backup"}
     assert secured["roster"]["profiles"] == ["roster"]
     folder = secured["roster"]["environment"]["COVINZ__BUS__ROSTER"]
     assert f"-m 700 {folder} " in DOCKERFILE

@@ -20,10 +20,10 @@ class Incident:
     Attributes:
         at_s: When.
         kind: kill, power_cut, kill_at_write, power_cut_at_write, hang, cut_off, disk_full,
-            disk_lost, clock_jump, router.
+            disk_lost, rolled_back, clock_jump, router.
         target: Process; "server" is all of them but the robots; empty for the router.
         lasts_s: How long, or until the process is started again.
-        amount: Writes until a kill at a write; seconds of a clock jump.
+        amount: Writes until a kill at a write; seconds of a clock jump; age of a backup in seconds.
     """
 
     at_s: float
@@ -136,6 +136,7 @@ def _incident(draw: random.Random, num_robots: int) -> Incident:
         [
             *["kill", "power_cut", "kill_at_write", "power_cut_at_write"] * 2,
             *["kill_at_write", "power_cut_at_write", "power_cut_of_all", "disk_lost"],
+            "rolled_back",
             *[
                 "hang",
                 "hang",
@@ -157,6 +158,9 @@ def _incident(draw: random.Random, num_robots: int) -> Incident:
     if kind == "disk_lost":  # of ingest: then there is a new log
         target = draw.choice(["ingest", "ingest", "place_recognition", "optimizer"])
         return Incident(at_s, kind, target, lasts_s)
+    if kind == "rolled_back":  # one file comes from a backup that is older than the others
+        target = draw.choice(SERVICES)
+        return Incident(at_s, kind, target, lasts_s, draw.choice([1, 3, 10]))
     if kind == "router":
         return Incident(at_s, kind, "", min(lasts_s, 5.0))
     if kind == "clock_jump":

@@ -62,6 +62,7 @@ class Process:
         self._folder = folder
         self._wrap = wrap
         self._image: dict[str, bytes] = {}
+        self._backup: dict[str, bytes] = {}
         self._is_disk_full = False
         self._clock_offset_ns = 0
 
@@ -98,6 +99,16 @@ class Process:
         self._network.trace("loses its disk", self.name, "")
         self.kill(restart_s)
         self._image = {}
+
+    def back_up(self) -> None:
+        """Copy its disk as it is now."""
+        self._backup = self.disk.left_by_kill() if self.is_running else dict(self._image)
+
+    def roll_back(self, restart_s: float) -> None:
+        """It ends at once, and its disk is again as it was when it was backed up."""
+        self._network.trace("rolled back", self.name, "")
+        self.kill(restart_s)
+        self._image = dict(self._backup)
 
     def kill_at_write(self, writes: int, restart_s: float, is_power_cut: bool) -> None:
         """The same, in the middle of a commit: `writes` writes from now."""

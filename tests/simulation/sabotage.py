@@ -147,6 +147,15 @@ def _wrapping(name: str, change: Callable[[Bus], Any]) -> Sabotage:
     return Sabotage(wrap=partial(_only, name, change))
 
 
+def _without_journal(name: str, change: Callable[[Bus], Any]) -> Sabotage:
+    """The journal of jobs would heal it with the optimizer's next start."""
+
+    def wrap(process: str, bus: Bus) -> Any:
+        return _only(name, change, process, _only("optimizer", _NoJournal, process, bus))
+
+    return Sabotage(wrap=wrap)
+
+
 def _early_cursor(name: str) -> Sabotage:
     cursor = [0]
     return _wrapping(name, lambda bus: _EarlyCursor(bus, cursor))
@@ -164,10 +173,10 @@ SABOTAGES: dict[str, Callable[[], Sabotage]] = {
     "robot's send returns before the sync": lambda: Sabotage(
         lying_disks=("robot0", "robot1", "robot2")
     ),
-    "optimizer acks a loop before the commit": lambda: _wrapping(
+    "optimizer acks a loop before the commit": lambda: _without_journal(
         "optimizer", lambda bus: _AckFirst(bus, keyexprs.LOOP)
     ),
-    "worker calls a job done before its loop is stored": lambda: _wrapping(
+    "worker calls a job done before its loop is stored": lambda: _without_journal(
         "worker", lambda bus: _HopeForTheBest(bus, keyexprs.LOOP)
     ),
     "optimizer stores its cursor when a page comes": lambda: _early_cursor("optimizer"),

@@ -122,6 +122,8 @@ class Simulation:
         self._evidence: Evidence | None = None
         ends = [one.at_s + one.lasts_s for one in plan.incidents]
         self._calm_s = max([FAULTS_S, *ends])
+        # What was sent before all was mended may still be on its way, e.g. that a link is back.
+        self._look_s = max(self._calm_s, FAULTS_S + plan.weather.max_lag_s) + CALM_S
         self._job_of: dict[str, str] = {}
         self._poison = ""
         # Keyframes that were on a disk which was lost, or may have been.
@@ -149,6 +151,9 @@ class Simulation:
             process.start()
         for incident in self._plan.incidents:
             self._scheduler.at(incident.at_s, functools.partial(self._befall, incident))
+            if incident.kind == "rolled_back":
+                backup_s = max(0.0, incident.at_s - incident.amount)
+                self._scheduler.at(backup_s, self._processes[incident.target].back_up)
         self._network.weather = self._plan.weather
         self._scheduler.at(FAULTS_S, self._mend)
         if self._plan.ends_with_router:
@@ -232,7 +237,7 @@ class Simulation:
         while times < 2:
             machine.sleep(1.0)
             is_idle = (
-                self._scheduler.now_s > self._calm_s + CALM_S
+                self._scheduler.now_s > self._look_s
                 and all(robot.is_done for robot in self._robots)
                 and all(process.is_running for process in self._processes.values())
                 and client.progress(bus).idle
@@ -273,6 +278,10 @@ class Simulation:
                 if process.name == "ingest":
                     self._forgiven.update(name for robot in self._robots for name in robot.sent)
                 process.lose_disk(lasts_s)
+            case "rolled_back":
+                if process.name == "ingest":
+                    self._forgiven.update(name for robot in self._robots for name in robot.sent)
+                process.roll_back(lasts_s)
             case "disk_full":
                 process.fill_disk(lasts_s)
             case "clock_jump":

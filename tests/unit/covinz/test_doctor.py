@@ -59,13 +59,14 @@ def test_a_server_that_works() -> None:
 def test_who_is_missing_or_refused_is_named() -> None:
     hub = Hub()
     server = hub.join()
-    serve(server, "ingest", {"rejected.malformed": 3, "keyframes.a1": 1})
+    serve(server, "ingest", {"rejected.malformed": 3, "keyframes.a1": 1, "twins.a1": 1})
     hub.join().declare_alive(keyexprs.agent_alive("a2"))
     found = list(of_server(hub.join(), NO_WAIT_S))
     assert not is_well(found)
     for name in set(SERVICES) - {"ingest"}:
         assert f"{name} does not answer" in said(found, Verdict.BAD)
     assert "3 uploads refused: malformed" in said(found, Verdict.BAD)
+    assert "a1: two programs send under this name" in said(found, Verdict.BAD)
     assert said(found, Verdict.ODD) == "a2: connected, 0 keyframes stored"
     assert all(finding.advice for finding in found if finding.verdict is Verdict.BAD)
     assert "a1: not connected, 1 keyframes stored" in said(found, Verdict.GOOD)

@@ -10,7 +10,7 @@ import pytest
 
 from covinz import codec, health, keyexprs
 from covinz.memory_bus import Hub, InMemoryBus
-from covinz.service import instance_name
+from covinz.program import instance_name
 from covinz.types import Status
 
 LOG = "01JD0000000000000000000000"

@@ -290,6 +290,46 @@ def test_a_full_disk_is_reported_and_nothing_changes(path: Path) -> None:
     spool.close()
 
 
+def test_a_spool_that_filled_its_disk_goes_on_once_it_is_delivered(path: Path) -> None:
+    spool = opened(path)
+    db = spool._file.db
+    db.execute("PRAGMA max_page_count = 300")
+    big = b"x" * 40_000
+    seq = 0
+    for _ in range(3):
+        first = seq
+        while True:
+            try:
+                spool.append([entry(seq, payload=big)])
+            except SpoolError as error:
+                assert "full" in str(error)
+                break
+            seq += 1
+        assert seq - first > 15
+        rows = take_all(spool)
+        assert [row.first_seq for row in rows] == list(range(first, seq))
+        for row in rows:
+            spool.delivered(row.position)
+        assert len(spool) == 0
+    spool.close()
+
+
+def test_acknowledged_keyframes_make_room_on_a_full_disk(path: Path) -> None:
+    spool = opened(path)
+    spool._file.db.execute("PRAGMA max_page_count = 300")
+    big = b"x" * 40_000
+    with pytest.raises(SpoolError, match="full"):
+        for seq in range(100):
+            spool.append([entry(seq, payload=big)])
+    row = spool.take()
+    assert row is not None
+    with spool._lock:  # the delete did not fit then
+        spool._settled.add(row.position)
+    spool.append([entry(100, payload=big)])
+    assert spool._file.db.execute("SELECT MIN(position) FROM outbox").fetchone() == (2,)
+    spool.close()
+
+
 def test_what_append_returned_for_is_on_the_disk(path: Path, spool: Spool) -> None:
     # Another connection, as after a crash of this process, sees it at once.
     for seq in range(3):
@@ -491,12 +531,50 @@ def test_a_refusal_that_cannot_be_kept_leaves_the_keyframe_in_the_spool(path: Pa
     spool.close()
 
 
-def test_a_spool_of_another_version(path: Path) -> None:
+def test_a_spool_of_a_newer_version(path: Path) -> None:
     opened(path).close()
     with contextlib.closing(sqlite3.connect(path)) as db:
-        db.execute("PRAGMA user_version = 1")
-    with pytest.raises(SpoolError, match="format 1, this program reads format 2"):
+        db.execute("PRAGMA user_version = 3")
+    with pytest.raises(SpoolError, match="format 3, this program reads format 2"):
         opened(path)
+
+
+# As of 22 November 2026.
+FORMAT_1 = """
+    CREATE TABLE owner (agent TEXT NOT NULL);
+    CREATE TABLE session (session TEXT PRIMARY KEY, next_seq INTEGER NOT NULL);
+    CREATE TABLE camera (hash TEXT PRIMARY KEY, payload BLOB NOT NULL);
+    CREATE TABLE outbox (position INTEGER PRIMARY KEY AUTOINCREMENT, session TEXT NOT NULL,
+        is_gap INTEGER NOT NULL, first_seq INTEGER NOT NULL, last_seq INTEGER NOT NULL,
+        camera_hash TEXT NOT NULL, reason TEXT NOT NULL DEFAULT '', payload BLOB NOT NULL);
+    CREATE TABLE rejected (number INTEGER PRIMARY KEY AUTOINCREMENT, session TEXT NOT NULL,
+        is_gap INTEGER NOT NULL, first_seq INTEGER NOT NULL, last_seq INTEGER NOT NULL,
+        code TEXT NOT NULL, reason TEXT NOT NULL, payload BLOB NOT NULL);
+    PRAGMA user_version = 1;
+"""
+
+
+def test_a_spool_of_an_older_version_goes_on(path: Path) -> None:
+    name = int.from_bytes(b"cvzS", "big")
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        db.executescript(f"PRAGMA journal_mode = WAL; PRAGMA application_id = {name}; {FORMAT_1}")
+        db.execute("INSERT INTO owner VALUES ('a0')")
+        db.execute("INSERT INTO session VALUES (?, 3)", (SESSION,))
+        db.execute("INSERT INTO camera VALUES (?, ?)", (CAMERA.hash, CAMERA_MESSAGE))
+        for seq in (1, 2):
+            row = (SESSION, seq, seq, CAMERA.hash, message(seq))
+            db.execute("INSERT INTO outbox VALUES (NULL, ?, 0, ?, ?, ?, '', ?)", row)
+        db.execute("INSERT INTO rejected VALUES (NULL, ?, 0, 0, 0, 'x', '', x'00')", (SESSION,))
+        db.commit()
+    spool = opened(path)
+    assert spool.report().rejected == 1
+    assert spool.session(SESSION) == (3, 0)
+    send(spool, 3)
+    rows = take_all(spool)
+    assert [row.payload for row in rows] == [message(seq) for seq in (1, 2, 3)]
+    assert spool.camera(rows[0].camera_hash) == CAMERA_MESSAGE
+    spool.close()
+    opened(path).close()
 
 
 @pytest.mark.parametrize("file", ["a0.spool", "a0.spool-wal"])

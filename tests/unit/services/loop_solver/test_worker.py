@@ -48,7 +48,8 @@ class Server:
         self.ranges: queue.Queue[Query] = queue.Queue()
         bus.answer(keyexprs.LOG_RANGE, self.ranges.put)
         bus.answer(keyexprs.JOB_LEASE, self.leases.put)
-        bus.answer(keyexprs.LOOP, self.loops.put)
+        self._bus = bus
+        self._optimizer = bus.answer(keyexprs.LOOP, self.loops.put)
         bus.answer(keyexprs.JOB_DONE, self.done.put)
         bus.subscribe(keyexprs.REJECTION, lambda _, payload: self.rejections.put(payload))
 
@@ -64,6 +65,11 @@ class Server:
         query = self.loops.get(timeout=PATIENCE_S)
         query.reply(codec.encode(answer))
         return codec.decode(query.payload, LoopClosure)
+
+    def restart_optimizer(self) -> None:
+        """It is gone for a moment; the worker hears of it."""
+        self._optimizer.close()
+        self._optimizer = self._bus.answer(keyexprs.LOOP, self.loops.put)
 
     def take_done(self, answer: UploadReply | None = None) -> JobDone:
         """Acknowledge the next outcome."""
@@ -189,6 +195,28 @@ def test_a_loop_of_a_lost_log_is_not_sent_for_ever(room: Any, server: Server, st
     assert done.log_id == LOG
     assert isinstance(done.outcome, Rejection) and "other_log" in done.outcome.detail
     server.leases.get(timeout=PATIENCE_S)
+
+
+def test_a_loop_is_brought_again_to_an_optimizer_that_was_started_anew(
+    room: Any, hub: Hub, server: Server
+) -> None:
+    changes: queue.Queue[bool] = queue.Queue()
+    with closing(hub.join()) as bus:
+        worker = Worker("w-3", bus, loop_of, WorkerConfig(), PATIENCE_S, lambda _: None)
+        bus.watch_answered(keyexprs.LOOP, changes.put)  # hears of it after the worker
+        worker.start()
+        server.lend(room.job)
+        server.take_loop(Stored())
+        outcome = server.done.get(timeout=PATIENCE_S)
+        # It has lost its file, and has read the journal before the outcome comes there.
+        server.restart_optimizer()
+        while changes.get(timeout=PATIENCE_S):
+            pass
+        outcome.reply(codec.encode(Stored()))
+        assert server.take_loop(Stored()).job_id == room.job.id
+        server.leases.get(timeout=PATIENCE_S)
+        bus.interrupt()
+        worker.stop()
 
 
 def test_a_job_waits_for_the_keyframes(room: Any, server: Server, start: Start) -> None:
