@@ -58,7 +58,7 @@ test: lint core-tests core-sanitize
 lint: setup
 	$(BIN)/ruff check $(PYTHON_DIRS)
 	$(BIN)/ruff format --check $(PYTHON_DIRS)
-	$(BIN)/mypy covinz services agents/covinz_agents scripts
+	$(BIN)/mypy $(PYTHON_DIRS)
 	$(BIN)/lint-imports
 	find core -path core/build -prune -o \( -name '*.cc' -o -name '*.h' \) -print | xargs clang-format --dry-run -Werror
 

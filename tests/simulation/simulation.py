@@ -28,7 +28,7 @@ from services.place_recognition import service as place_recognition
 from tests.simulation import world
 from tests.simulation.disk import Layer
 from tests.simulation.machine import SimulatedMachine
-from tests.simulation.network import CALM, Network, SimulatedBus
+from tests.simulation.network import CALM, QUERY_TIMEOUT_S, Network, SimulatedBus
 from tests.simulation.plan import FAULTS_S, NUM_WORKERS, SERVICES, Incident, Plan
 from tests.simulation.process import Main, Process, Wrap
 from tests.simulation.robot import Robot
@@ -122,8 +122,10 @@ class Simulation:
         self._evidence: Evidence | None = None
         ends = [one.at_s + one.lasts_s for one in plan.incidents]
         self._calm_s = max([FAULTS_S, *ends])
-        # What was sent before all was mended may still be on its way, e.g. that a link is back.
-        self._look_s = max(self._calm_s, FAULTS_S + plan.weather.max_lag_s) + CALM_S
+        # What was sent before all was mended may still be on its way, and who asked then and was
+        # not heard asks again.
+        last_s = max(self._calm_s, FAULTS_S + plan.weather.max_lag_s)
+        self._look_s = last_s + QUERY_TIMEOUT_S + CALM_S
         self._job_of: dict[str, str] = {}
         self._poison = ""
         # Keyframes that were on a disk which was lost, or may have been.

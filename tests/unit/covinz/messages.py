@@ -48,7 +48,7 @@ def _covariance(rng: np.random.Generator) -> Array:
 
 def _camera(rng: np.random.Generator, width: int, height: int, model: str) -> types.Camera:
     length = {"PINHOLE": 4, "OPENCV": 8, "FULL_OPENCV": 12, "OPENCV_FISHEYE": 8}[model]
-    readout_s = rng.choice([None, 0.0, rng.uniform()])
+    readout_s = (None, 0.0, rng.uniform())[rng.integers(3)]
     params = rng.uniform(0.1, 1e3, length)
     return types.Camera(model, width, height, params, poses_of(rng), readout_s)
 
