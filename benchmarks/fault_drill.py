@@ -131,6 +131,7 @@ def report(played: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "cases": len(real),
         "cases_failed": sum(bool(figures["failed"]) for figures in real),
         "cases_skipped": len(played) - len(real),
+        "cases_not_played": len(cases()) - len(played),
         **sums,
         "case": {name: played[name] for name in cases() if name in played},
     }

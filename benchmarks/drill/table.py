@@ -52,7 +52,8 @@ def _summary(report: Mapping[str, Any], clean: Mapping[str, Any]) -> str:
     human = report["human_needed"]
     return (
         f"\n{report['cases']} cases, {report['cases_failed']} failed,"
-        f" {report['cases_skipped']} skipped; {report['keyframes_lost_total']} keyframes lost,"
+        f" {report['cases_skipped']} skipped, {report['cases_not_played']} of the drill not played"
+        f" this time; {report['keyframes_lost_total']} keyframes lost,"
         f" {report['duplicated_total']} duplicated, a human needed in {human}. Undisturbed there"
         f" are {clean.get('loops', '-')} loops.\n"
     )

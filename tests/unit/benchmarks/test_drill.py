@@ -162,7 +162,9 @@ def test_the_report_sums_what_was_played_and_never_counts_what_was_skipped() -> 
     assert "| everything | 0 | 0 | 0 / 0 / 0 | 4 | 1.2 s | 12 ms |  |" in text
     assert "| router | - | - | - | - | - | - | stuck: x |" in text
     assert "skipped: no right" in text
-    assert "3 cases, 2 failed, 1 skipped; 2 keyframes lost, 3 duplicated" in text
+    assert "3 cases, 2 failed, 1 skipped, " in text
+    assert f"{len(cases()) - 4} of the drill not played" in text
+    assert "; 2 keyframes lost, 3 duplicated" in text
 
 
 def test_every_case_of_the_claim_is_there() -> None:
