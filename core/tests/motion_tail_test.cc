@@ -8,8 +8,8 @@
 
 #include <gtest/gtest.h>
 
+#include "../src/rig_adjustment.h"
 #include "covinz/rig_refinement.h"
-#include "rig_adjustment.h"
 
 namespace covinz {
 namespace {
