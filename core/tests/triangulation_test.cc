@@ -44,7 +44,7 @@ TEST(TriangulateTrack, ParallelRaysFromOnePlaceAreNotSingular) {
 
 // Two cameras 0.4 m apart and tracks at the given inverse distances.
 struct Scene {
-  RefinedRig cand{{Eigen::Isometry3d::Identity()}, {500.0}, {}};
+  RefinedRig cand{{Eigen::Isometry3d::Identity()}, {500.0}, {}, {}};
   RefinedRig query = cand;
   Eigen::Isometry3d T_cand_query = Eigen::Isometry3d(Eigen::Translation3d(0.4, 0.0, 0.0));
   RigTracks tracks;
