@@ -21,6 +21,10 @@ from covinz.config import BusConfig
 # A message on the link is this much larger than its payload: key, encoding, headers. [bytes]
 _ENVELOPE_BYTES = 4096
 _TLS = "transport/link/tls"
+# What a client may have under way fits into its socket. Of a link that is dead while a write to it
+# waits for room, Zenoh takes leave only when that write ends, which TCP's own repetitions make up
+# to half a minute. Linux cuts it to net.core.wmem_max. [bytes]
+_SEND_BUFFER_BYTES = 1 << 20
 
 
 def client_settings(config: BusConfig) -> zenoh.Config:
@@ -38,6 +42,8 @@ def client_settings(config: BusConfig) -> zenoh.Config:
                 "period_max_ms": 1000,
                 "period_increase_factor": 2,
             },
+            "transport/link/tcp/so_sndbuf": _SEND_BUFFER_BYTES,
+            f"{_TLS}/so_sndbuf": _SEND_BUFFER_BYTES,
             **_client_tls(config),
         },
     )
