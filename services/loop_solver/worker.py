@@ -83,11 +83,8 @@ class Worker:
         self._asking = False
         self._busy = False
         self._declared = [bus.declare_alive(keyexprs.worker_alive(worker))]
-        # How often an optimizer has gone.
-        self._optimizers_gone = 0
-        for key in (keyexprs.JOB_LEASE, keyexprs.JOB_DONE):
+        for key in (keyexprs.JOB_LEASE, keyexprs.JOB_DONE, keyexprs.LOOP):
             self._declared.append(bus.watch_answered(key, self._on_answered))
-        self._declared.append(bus.watch_answered(keyexprs.LOOP, self._on_optimizer))
         self._thread = machine.thread(self._run, "worker")
         self.counters: Counter[str] = Counter()
 
@@ -157,7 +154,6 @@ class Worker:
     def _work(self, lease: Lease) -> None:
         job = lease.job
         outcome = self._outcome(job)
-        gone_before = self._optimizers_gone
         if isinstance(outcome, LoopClosure):
             outcome = self._bring_loop(outcome, lease.log_id)
         if outcome is None:
@@ -166,8 +162,9 @@ class Worker:
         if isinstance(outcome, Rejection):
             self._bus.put(keyexprs.REJECTION, codec.encode(outcome))
         self._send(keyexprs.JOB_DONE, codec.encode(JobDone(self._worker, outcome, lease.log_id)))
-        if isinstance(outcome, LoopClosure) and self._optimizers_gone != gone_before:
-            # The next one may have another file, and read the journal before the outcome came.
+        if isinstance(outcome, LoopClosure):
+            # The optimizer may have lost its file since, and read the journal before the outcome
+            # came. That it was away need not have been seen from here, so it is always asked.
             self._bring_loop(outcome, lease.log_id)
         self._count(outcome)
 
@@ -231,10 +228,6 @@ class Worker:
     def _on_answered(self, is_there: bool) -> None:
         if is_there:
             self._news.set()
-
-    def _on_optimizer(self, is_there: bool) -> None:
-        self._optimizers_gone += not is_there
-        self._on_answered(is_there)
 
     def _pause(self, seconds: float) -> None:
         self._news.wait(seconds)

@@ -280,7 +280,7 @@ def test_robots_upload_and_are_corrected_through_tls_and_quic(
 ) -> None:
     let_in(roster, Request(OTHER, transport="quic", replace=True))
     assert credentials.read(file_of(roster, OTHER)).endpoint.startswith("quic/")
-    for name in ("ingest", "optimizer"):
+    for name in ("ingest", "place_recognition", "optimizer"):
         start_service(name)
     for name in (ROBOT, OTHER):
         corrected: queue.Queue[Correction] = queue.Queue()

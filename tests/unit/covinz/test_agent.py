@@ -204,13 +204,13 @@ def test_a_refusal_that_the_disk_cannot_keep_stops_nobody(
     def answer(payload: bytes) -> UploadReply:
         return Rejected("malformed", "") if payload == message(0) else Stored()
 
-    ingest = ScriptedIngest(hub, answer)
     folder = spool.with_name("a0.spool.rejected")
     folder.write_bytes(b"")  # in its way
     config = HASTY.model_copy(update={"window": 1})
     with agent_on(bus, spool, config, session=SESSION) as agent:
         for seq in range(5):
             agent.send(content(seq))
+        ingest = ScriptedIngest(hub, answer)
         ingest.wait_for_uploads(6)
         assert set(ingest.payloads) >= {message(seq) for seq in range(5)}
         folder.unlink()

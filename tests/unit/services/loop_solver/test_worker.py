@@ -66,11 +66,6 @@ class Server:
         query.reply(codec.encode(answer))
         return codec.decode(query.payload, LoopClosure)
 
-    def restart_optimizer(self) -> None:
-        """It is gone for a moment; the worker hears of it."""
-        self._optimizer.close()
-        self._optimizer = self._bus.answer(keyexprs.LOOP, self.loops.put)
-
     def take_done(self, answer: UploadReply | None = None) -> JobDone:
         """Acknowledge the next outcome."""
         query = self.done.get(timeout=PATIENCE_S)
@@ -133,6 +128,8 @@ def test_a_loop_goes_to_the_optimizer_before_the_job_is_done(
     assert server.done.empty()
     done = server.take_done()
     assert (done.worker, done.outcome.job_id) == ("w-1", room.job.id)
+    # Once more, for an optimizer that lost its file and read the journal before the outcome came.
+    assert server.take_loop(Duplicate()).job_id == room.job.id
     server.leases.get(timeout=PATIENCE_S)
     assert worker.counters["accepted"] == 1 and not worker.busy
 
@@ -195,28 +192,6 @@ def test_a_loop_of_a_lost_log_is_not_sent_for_ever(room: Any, server: Server, st
     assert done.log_id == LOG
     assert isinstance(done.outcome, Rejection) and "other_log" in done.outcome.detail
     server.leases.get(timeout=PATIENCE_S)
-
-
-def test_a_loop_is_brought_again_to_an_optimizer_that_was_started_anew(
-    room: Any, hub: Hub, server: Server
-) -> None:
-    changes: queue.Queue[bool] = queue.Queue()
-    with closing(hub.join()) as bus:
-        worker = Worker("w-3", bus, loop_of, WorkerConfig(), PATIENCE_S, lambda _: None)
-        bus.watch_answered(keyexprs.LOOP, changes.put)  # hears of it after the worker
-        worker.start()
-        server.lend(room.job)
-        server.take_loop(Stored())
-        outcome = server.done.get(timeout=PATIENCE_S)
-        # It has lost its file, and has read the journal before the outcome comes there.
-        server.restart_optimizer()
-        while changes.get(timeout=PATIENCE_S):
-            pass
-        outcome.reply(codec.encode(Stored()))
-        assert server.take_loop(Stored()).job_id == room.job.id
-        server.leases.get(timeout=PATIENCE_S)
-        bus.interrupt()
-        worker.stop()
 
 
 def test_a_job_waits_for_the_keyframes(room: Any, server: Server, start: Start) -> None:
