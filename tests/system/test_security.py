@@ -237,6 +237,7 @@ def test_a_robot_cannot_listen_elsewhere(server: ZenohBus, attacker: zenoh.Sessi
 def test_a_robot_cannot_claim_or_see_that_others_are_alive(
     server: ZenohBus, attacker: zenoh.Session, spy: zenoh.Session
 ) -> None:
+    arrived = arrivals(server, OWN_ODOMETRY)  # first: what is seen below comes after it is known
     seen: queue.Queue[str] = queue.Queue()
     others = keyexprs.service_alive("router", "router")
     server.watch_alive("**", lambda key, _: seen.put(key) if key != others else None)
@@ -269,7 +270,7 @@ def test_a_robot_cannot_claim_or_see_that_others_are_alive(
     watched.append(
         spy.declare_subscriber(OWN_CORRECTION, lambda sample: heard.put(str(sample.key_expr)))
     )
-    pass_the_router(spy, arrivals(server, OWN_ODOMETRY))
+    pass_the_router(spy, arrived)
     server.put(OWN_CORRECTION, b"for it")
     assert heard.get(timeout=WAIT_S) == OWN_CORRECTION
     del held, watched  # held until here
