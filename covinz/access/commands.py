@@ -88,9 +88,9 @@ def add(
 
 @app.command()
 def remove(name: Name, data: Data = Path("data"), roster: Folder = None) -> None:
-    """Let a robot in no longer; its credentials are void from now on."""
+    """Let a robot in no longer; a server that runs ends its connection within seconds."""
     enrolment.remove(_roster(data, roster), name)
-    _say(f"{name} may not connect any more")
+    _say(f"{name} may not connect any more; a server that runs follows within seconds")
 
 
 @app.command("list")

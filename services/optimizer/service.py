@@ -1,8 +1,8 @@
 """The optimizer as a process: one thread owns the maps, another one optimises.
 
 Order of things, so that nothing is lost and the status is never ahead of the truth: a loop is
-durable and among the inputs before it is acked; an optimisation starts as soon as something is
-stale and none runs; a correction is durable before it is published.
+durable and among the inputs before it is acked; an optimisation starts when something is stale,
+none runs and the last one is long enough ago; a correction is durable before it is published.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ from services.optimizer.loop_store import LoopStore, StoreUnavailable
 from services.optimizer.lost_loops import LoopsFound, LostLoops
 from services.optimizer.maps import Maps
 from services.optimizer.optimisation import MapEstimate, Optimise, optimise
+from services.optimizer.pace import Pace
 from services.optimizer.unsent import Unsent
 from services.optimizer.worker import OptimisationCrashed, OptimisationThread, Optimised
 
@@ -165,6 +166,7 @@ class Optimizer:
         self._unsent = Unsent(store)
         self._epoch = 0
         self._running = False
+        self._pace = Pace(config)
         self._quiet_since_s = clock_s()
         for loop in store.loops():
             self._maps.add_loop(loop)
@@ -198,9 +200,8 @@ class Optimizer:
 
     def patience_s(self) -> float | None:
         """How long to wait for events; None: until there is one."""
-        wake_s = [] if self._unsent.retry_at_s is None else [self._unsent.retry_at_s]
-        if not self._running and self._caught_up and self._maps.stale(with_keyframes=True):
-            wake_s.append(self._quiet_since_s + self._config.settle_s)
+        due_s = (self._unsent.retry_at_s, self._optimisation_due_s())
+        wake_s = [at_s for at_s in due_s if at_s is not None]
         return max(0.0, min(wake_s) - self._clock_s()) if wake_s else None
 
     def status(self) -> Status:
@@ -333,19 +334,34 @@ class Optimizer:
 
     # --- optimisation ------------------------------------------------------------------------
 
-    def _optimise(self) -> None:
-        """Start a job when something is stale and none runs."""
+    def _optimisation_due_s(self) -> float | None:
+        """When to optimise what is stale; None: not before something happens."""
         if self._running or not self._caught_up:
+            return None
+        if self._maps.stale(with_keyframes=False):
+            return self._pace.rests_until_s
+        if self._maps.stale(with_keyframes=True):
+            return max(self._pace.rests_until_s, self._settled_s)
+        return None
+
+    @property
+    def _settled_s(self) -> float:
+        return self._quiet_since_s + self._config.settle_s
+
+    def _optimise(self) -> None:
+        """Start a job when something is stale, none runs, and the last one is long enough ago."""
+        due_s, now_s = self._optimisation_due_s(), self._clock_s()
+        if due_s is None or now_s < due_s:
             return
-        settled = self._clock_s() >= self._quiet_since_s + self._config.settle_s
-        stale = self._maps.stale(with_keyframes=settled)
-        if stale:
-            self._running = True
-            self._submit(tuple(map(self._maps.component, stale)), self._epoch)
+        stale = self._maps.stale(with_keyframes=now_s >= self._settled_s)
+        self._running = True
+        self._pace.begin(now_s)
+        self._submit(tuple(map(self._maps.component, stale)), self._epoch)
 
     def _finish(self, done: Optimised) -> None:
         """Publish what a job found as far as it is still true; what is not stays stale."""
         self._running = False
+        self._pace.end(self._clock_s())
         if done.epoch != self._epoch:
             return
         self._counters["optimisations"] += 1

@@ -94,7 +94,7 @@ def test_two_equal_poses_are_ambiguous_and_both_are_told(torn_room: Any) -> None
         float(np.linalg.norm(frames.local_error(torn_room.T_cand_query, found.T_cand_query)[3:]))
         for found in outcome.solutions
     )
-    assert moved_m == pytest.approx([0.0, 1.0], abs=0.1)
+    assert moved_m[0] < 0.05 and moved_m[1] == pytest.approx(1.0, abs=0.1)
     for found in outcome.solutions:
         assert np.linalg.eigvalsh(found.covariance)[0] > 0
         assert found.num_inliers > 100

@@ -318,6 +318,26 @@ def test_a_result_stands_when_only_a_loop_was_added_meanwhile(bench: Bench) -> N
     assert [summary.num_loops for summary in bench.maps().maps] == [2]
 
 
+def test_loops_that_come_soon_after_an_optimisation_share_the_next_one(bench: Bench) -> None:
+    bench.begin()
+    bench.read([*PAIR, keyframe("a", 0, 1), keyframe("b", 1, 1)])
+    bench.bring(BRIDGE)
+    (job,) = bench.jobs
+    bench.jobs.clear()
+    bench.now_s += 0.05  # that it takes
+    bench.finish(job)
+    assert bench.bring(closure(keyframe("a", 0, 1).id, PAIR[1].id)) == Stored()
+    assert bench.bring(closure(keyframe("b", 1, 1).id, PAIR[0].id)) == Stored()
+    assert not bench.jobs and bench.status().dirty
+    rest_s = bench.optimizer.patience_s()
+    assert rest_s is not None and rest_s == pytest.approx(0.05 / CONFIG.max_share - 0.05)
+    bench.now_s += rest_s + 1e-6
+    bench.optimizer.handle([])
+    assert bench.run() == 1
+    assert [summary.num_loops for summary in bench.maps().maps] == [3]
+    assert not bench.status().dirty
+
+
 def test_a_loop_that_cannot_be_optimised_is_left_out(bench: Bench) -> None:
     # Its weight overflows. Admission refuses such a loop; this one is in the file of an earlier
     # version, and within a segment, so that no start makes it fit.
