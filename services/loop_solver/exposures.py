@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import covinz_core
 import numpy as np
 
-from covinz import frames
 from covinz.keyframes import KeyframeStore
 from covinz.types import Camera, RigMember
+from services.loop_solver.rig import adjoint_cam_body
 
 
 def rig_exposures(
@@ -41,7 +41,7 @@ def rig_exposures(
 def _exposure(member: RigMember, camera: Camera, readout_s: float) -> covinz_core.CameraExposure:
     seconds = readout_s if camera.readout_s is None else camera.readout_s
     twists = np.zeros((2, 6)) if member.twists is None else member.twists
-    before, after = twists @ frames.adjoint(frames.inverse(camera.T_body_cam)).T
+    before, after = twists @ adjoint_cam_body(camera).T
     return covinz_core.CameraExposure(
         before, after, seconds / math.sqrt(12.0), seconds / camera.height
     )

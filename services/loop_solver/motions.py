@@ -12,11 +12,11 @@ from itertools import pairwise
 import covinz_core
 import numpy as np
 
-from covinz import frames
 from covinz.config import OdometryNoise
 from covinz.keyframes import KeyframeStore
 from covinz.odometry import motion_covariance
 from covinz.types import RigMember
+from services.loop_solver.rig import adjoint_cam_body
 
 
 def rig_motions(
@@ -40,7 +40,7 @@ def rig_motions(
             T_odom_body = np.stack([a.T_odom_body, b.T_odom_body])
             covariance = motion_covariance(T_odom_body, [None], noise)
         # From the later body to its camera: that is where the core takes perturbations.
-        to_camera = frames.adjoint(frames.inverse(store.camera(b.camera_hash).T_body_cam))
+        to_camera = adjoint_cam_body(store.camera(b.camera_hash))
         seen = to_camera @ covariance @ to_camera.T
         motions.append(covinz_core.RigMotion(earlier, later, 0.5 * (seen + seen.T)))
     return motions

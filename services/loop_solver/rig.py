@@ -5,6 +5,7 @@ Source: COVINS-G III-B2, Figure 2.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import covinz_core
@@ -12,7 +13,7 @@ import numpy as np
 
 from covinz import frames
 from covinz.keyframes import KeyframeStore
-from covinz.types import FeatureType, RigMember
+from covinz.types import Camera, Features, FeatureType, RigMember
 
 
 class BadRig(ValueError):
@@ -47,11 +48,28 @@ def _camera(
     if features is None:
         raise BadRig(f"keyframe {member.keyframe} has no {kind.name} features")
     camera = store.camera(member.camera_hash)
-    bearings = covinz_core.bearing_vectors(
-        camera.model, camera.params.tolist(), features.keypoints_px.astype(np.float64)
-    )
+    bearings = _bearings(features, camera)
     # Every model starts with fx, fy.
     focal_px = float(np.mean(camera.params[:2]))
     return covinz_core.RigCamera(
         T_rig_body @ camera.T_body_cam, bearings, features.descriptors, focal_px
     )
+
+
+# By identity: a store gives the same objects as long as it remembers them. A keyframe is in several
+# jobs that come soon after one another, and undistorting it takes longer than all else here; its
+# bearings are about 26 kB.
+@functools.lru_cache(maxsize=512)
+def _bearings(features: Features, camera: Camera) -> frames.Array:
+    bearings: frames.Array = covinz_core.bearing_vectors(
+        camera.model, camera.params.tolist(), features.keypoints_px.astype(np.float64)
+    )
+    return bearings
+
+
+@functools.lru_cache(maxsize=64)
+def adjoint_cam_body(camera: Camera) -> frames.Array:
+    """(6, 6) that carries a right perturbation of a body to its camera."""
+    adjoint = frames.adjoint(frames.inverse(camera.T_body_cam))
+    adjoint.setflags(write=False)
+    return adjoint

@@ -140,8 +140,8 @@ def _common(
     rays_ref = rigs.depth_m * rays - T_ref_cam[:, None, :3, 3]
     rays_cam = rays_ref @ T_ref_cam[:, :3, :3]
     angles = np.arctan2(rays_cam[..., :2], rays_cam[..., 2:])
-    low, high = (np.stack([view.limits[side] for view in views])[:, None] for side in (0, 1))
-    seen = ((angles >= low) & (angles <= high)).all(axis=-1)
+    limits = np.stack([view.limits for view in views])[:, None]
+    seen = ((angles >= limits[..., 0, :]) & (angles <= limits[..., 1, :])).all(axis=-1)
     distance_m = np.maximum(np.linalg.norm(rays_ref, axis=-1), 1e-9)
     cosine = (rays_ref * rays).sum(axis=-1) / distance_m
     turned_rad = np.arccos(np.clip(cosine, -1.0, 1.0))
@@ -242,16 +242,20 @@ def _sides(
         rows: The reference and the rows of that side, the nearest first.
         num_others: No more rows than that.
     """
-    links = np.triu(worth[np.ix_(rows, rows)], 1)
-    possible = np.triu(np.ones_like(links, dtype=bool), 1)
-    value = np.where(np.arange(len(rows)) == 0, 0, -1)
-    chains = [[int(row)] for row in rows]
+    links = worth[rows[:, None], rows]
+    each = np.arange(len(rows))
+    possible = each[:, None] < each
+    value = np.where(each == 0, 0, -1)
+    came: list[NDArray[np.intp]] = []
     found = [(0, list[int]())]
     for _ in range(min(num_others, len(rows) - 1)):
         total = np.where(possible & (value[:, None] >= 0), value[:, None] + links, -1)
-        came = total.argmax(axis=0)
-        value = total[came, np.arange(len(rows))]
-        chains = [[*chains[before], int(row)] for before, row in zip(came, rows, strict=True)]
-        end = int(value.argmax())
-        found.append((int(value[end]), chains[end][1:]))
+        came.append(total.argmax(axis=0))
+        value = total[came[-1], each]
+        at = int(value.argmax())
+        most, chain = int(value[at]), list[int]()
+        for before in reversed(came):
+            chain.insert(0, int(rows[at]))
+            at = int(before[at])
+        found.append((most, chain))
     return found

@@ -5,13 +5,14 @@ Source: COVINS-G III-B2, S_q and S_c; decision 0021.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
@@ -21,6 +22,10 @@ from services.place_recognition.neighbours import choose, window
 from services.place_recognition.track import Track
 
 Members = tuple[RigMember, ...]
+T = TypeVar("T")
+
+# Keyframes whose rigs are remembered; a rig is about 2 kB.
+MAX_REMEMBERED: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +68,14 @@ class RigRule:
         self._camera = camera
         by_profile = "index" if solver.profile == "paper" else "geometry"
         self._by_geometry = (rigs.neighbours or by_profile) == "geometry"
-        # The candidates of a query mostly share its rig.
-        self._last_query: tuple[object, Rig | None] = (None, None)
+        # What was found for a keyframe: the candidates of a query mostly share its rig, and a
+        # keyframe is a candidate of several queries.
+        self._chosen = _Memory[Rig | None]()
+        self._complete = _Memory[Rig]()
 
     def query(self, pair: Pair, track: Track) -> Rig | None:
         """S_q, from the query's session; None while that has too few keyframes."""
-        rival = pair.cand if pair.cand.segment == pair.query.segment else None
-        key = (track, len(track.path), pair.query, rival)
-        if key != self._last_query[0]:
-            rig = self._rig(track, pair.query, pair.cand, self._config.query_size)
-            self._last_query = (key, rig)
-        return self._last_query[1]
+        return self._rig(track, pair.query, pair.cand, self._config.query_size)
 
     def cand(self, pair: Pair, track: Track) -> Rig | None:
         """S_c, from the candidate's session; None while that has too few keyframes."""
@@ -82,21 +84,29 @@ class RigRule:
     def _rig(self, track: Track, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
         rig = None
         if self._by_geometry:
-            rig = self._best(track.around(of.seq, self._config.max_steps), of, other, size)
+            rig = self._best(track, of, other, size)
         if rig is None:
             rig = nearest(track, of.seq, size)
         # Whatever size is asked for, a session that has the paper's number can close loops.
         if rig is None or len(rig.members) < min(size, 3):
             return None
-        return dataclasses.replace(rig, members=_with_odometry(track, rig.members))
+        # A path only ever grows, so its length says which it is.
+        which = (track, len(track.path), *(member.keyframe for member in rig.members))
+        return self._complete.get((of, size), which, partial(_with_odometry, track, rig))
 
-    def _best(self, around: Members, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
+    def _best(self, track: Track, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
         """The best rig by geometry; None where a calibration is missing or unusable."""
+        around = track.around(of.seq, self._config.max_steps)
         if of.segment == other.segment:
             # Half of the way to the other keyframe is that one's: rigs share no keyframe.
             around = tuple(
                 m for m in around if abs(m.keyframe.seq - of.seq) < abs(m.keyframe.seq - other.seq)
             )
+        # Keyframes are only ever added to a session, so this says which they are.
+        which = (track, around[0].keyframe, around[-1].keyframe, len(around))
+        return self._chosen.get((of, size), which, partial(self._choose, around, of, size))
+
+    def _choose(self, around: Members, of: KeyframeId, size: int) -> Rig | None:
         cameras = [self._camera(member.camera_hash) for member in around]
         known = [camera for camera in cameras if camera is not None]
         if len(known) < len(around):
@@ -126,21 +136,41 @@ def nearest(track: Track, seq: int, size: int) -> Rig | None:
     return Rig((track.member(seq), *chosen), math.inf) if chosen else None
 
 
-def _with_odometry(track: Track, members: Members) -> Members:
-    """The members with what the session's odometry says of them."""
-    in_time = sorted(members, key=lambda member: member.keyframe.seq)
+def _with_odometry(track: Track, rig: Rig) -> Rig:
+    """The rig with what the session's odometry says of its members."""
+    in_time = sorted(rig.members, key=lambda member: member.keyframe.seq)
     covariances = {
         later.keyframe: track.path.covariance(earlier.keyframe.seq, later.keyframe.seq)
         for earlier, later in pairwise(in_time)
     }
-    return tuple(
-        dataclasses.replace(
-            member,
-            motion_covariance=covariances.get(member.keyframe),
-            twists=track.path.twists(member.keyframe.seq),
+    members = tuple(
+        RigMember(
+            member.keyframe,
+            member.T_odom_body,
+            member.camera_hash,
+            covariances.get(member.keyframe),
+            track.path.twists(member.keyframe.seq),
         )
-        for member in members
+        for member in rig.members
     )
+    return Rig(members, rig.information)
+
+
+class _Memory(Generic[T]):
+    """The value found last for each of the keyframes and sizes that came last."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[KeyframeId, int], tuple[object, T]] = {}
+
+    def get(self, name: tuple[KeyframeId, int], source: object, find: Callable[[], T]) -> T:
+        """The value; found anew unless it is known from an equal source."""
+        known = self._known.pop(name, None)
+        if known is None or known[0] != source:
+            known = (source, find())
+        self._known[name] = known
+        if len(self._known) > MAX_REMEMBERED:
+            del self._known[next(iter(self._known))]
+        return known[1]
 
 
 def overlap(query: Sequence[RigMember], cand: Sequence[RigMember]) -> bool:
