@@ -24,7 +24,11 @@ def transform(R: ArrayLike, p: ArrayLike) -> Array:
 def inverse(T_a_b: Array) -> Array:
     """T_b_a of rigid transforms (..., 4, 4)."""
     R_t = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
-    return transform(R_t, -np.einsum("...ij,...j->...i", R_t, T_a_b[..., :3, 3]))
+    T_b_a = np.zeros(T_a_b.shape)
+    T_b_a[..., :3, :3] = R_t
+    T_b_a[..., :3, 3] = -np.einsum("...ij,...j->...i", R_t, T_a_b[..., :3, 3])
+    T_b_a[..., 3, 3] = 1.0
+    return T_b_a
 
 
 def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:

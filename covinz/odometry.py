@@ -7,6 +7,7 @@ frame of the later body.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,6 +50,49 @@ def usable(covariance: Array | None) -> Array | None:
     return symmetric if np.linalg.eigvalsh(symmetric)[0] >= -1e-9 * size else None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionStep:
+    """What a step from one keyframe to the next does to the covariance of a motion.
+
+    Attributes:
+        back: (6, 6) carries an error before the step to behind it.
+        covariance: (6, 6) the step's own.
+        is_walk: Whether that is the front-end's usual accuracy, since the robot said nothing.
+    """
+
+    back: Array
+    covariance: Array
+    is_walk: bool
+
+
+def motion_step(
+    T_odom_prev: Array, T_odom_cur: Array, sent: Array | None, noise: OdometryNoise
+) -> MotionStep:
+    """The step between two odometry poses; arguments otherwise as of `motion_covariance`."""
+    T_prev_cur = inverse(T_odom_prev) @ T_odom_cur
+    own = usable(sent)
+    return MotionStep(
+        back=adjoint(inverse(T_prev_cur)),
+        covariance=random_walk(T_prev_cur, noise) if own is None else own,
+        is_walk=own is None,
+    )
+
+
+def compounded(steps: Sequence[MotionStep], noise: OdometryNoise) -> Array:
+    """(6, 6) covariance of the motion over consecutive steps; see `motion_covariance`."""
+    total = np.zeros((6, 6))
+    for step in steps:
+        total = step.back @ total @ step.back.T + step.covariance
+    if any(step.is_walk for step in steps):
+        total = total + np.diag(np.repeat([noise.min_rotation**2, noise.min_translation**2], 3))
+    total = 0.5 * (total + total.T)
+    if np.abs(total).max() > MAX_VARIANCE:
+        variances, directions = np.linalg.eigh(total)
+        total = (directions * np.clip(variances, 0.0, MAX_VARIANCE)) @ directions.T
+        total = 0.5 * (total + total.T)
+    return total + FLOOR
+
+
 def motion_covariance(
     T_odom_body: Array, sent: Sequence[Array | None], noise: OdometryNoise
 ) -> Array:
@@ -66,18 +110,8 @@ def motion_covariance(
     Source: Smith, Self and Cheeseman, "Estimating uncertain spatial relationships", 1990
     (compounding), for the right perturbation.
     """
-    total, is_walk = np.zeros((6, 6)), False
-    for T_prev, T_cur, covariance in zip(T_odom_body[:-1], T_odom_body[1:], sent, strict=True):
-        T_prev_cur = inverse(T_prev) @ T_cur
-        step = usable(covariance)
-        is_walk |= step is None
-        back = adjoint(inverse(T_prev_cur))
-        total = back @ total @ back.T + (random_walk(T_prev_cur, noise) if step is None else step)
-    if is_walk:
-        total = total + np.diag(np.repeat([noise.min_rotation**2, noise.min_translation**2], 3))
-    total = 0.5 * (total + total.T)
-    if np.abs(total).max() > MAX_VARIANCE:
-        variances, directions = np.linalg.eigh(total)
-        total = (directions * np.clip(variances, 0.0, MAX_VARIANCE)) @ directions.T
-        total = 0.5 * (total + total.T)
-    return total + FLOOR
+    steps = [
+        motion_step(T_prev, T_cur, covariance, noise)
+        for T_prev, T_cur, covariance in zip(T_odom_body[:-1], T_odom_body[1:], sent, strict=True)
+    ]
+    return compounded(steps, noise)

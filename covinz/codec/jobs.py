@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
-from numpy.typing import ArrayLike, NDArray
-
-from covinz.codec import poses, values
+from covinz.codec import poses, rigs, values
 from covinz.codec.reader import Fields
 from covinz.types import (
     JobDone,
@@ -24,71 +22,30 @@ from covinz.types import (
     MotionResidual,
     Outcome,
     Rejection,
-    RigMember,
 )
 
-# [rad/s, m/s]: nothing of what place recognition says of a robot is faster.
-MAX_TWIST: Final = 1e3
 _WIRE_STATE: Final = {state: state.name.capitalize() for state in JobState}
 _STATE_OF_WIRE: Final = {name: state for state, name in _WIRE_STATE.items()}
 
 
-def _member_fields(member: RigMember) -> Fields:
-    return {
-        "keyframe": values.keyframe_id_fields(member.keyframe),
-        "pose_odom_body": tuple(poses.pose_values(member.T_odom_body, "T_odom_body")),
-        "camera_hash": values.text(member.camera_hash, "camera_hash", values.CAMERA_HASH),
-        "motion_covariance": _motion_covariance(member.motion_covariance),
-        "twists": _twists(member.twists),
-    }
-
-
-def _motion_covariance(covariance: ArrayLike | None) -> NDArray[Any] | None:
-    if covariance is None:
-        return None
-    return values.covariance(covariance, "motion_covariance", definite=True)
-
-
-def _twists(twists: ArrayLike | None) -> NDArray[Any] | None:
-    return None if twists is None else values.numbers(twists, "twists", 12, MAX_TWIST)
-
-
-def _rig(members: list[Fields]) -> tuple[RigMember, ...]:
-    if not members:
-        raise ValueError("a rig is empty")
-    return tuple(_member(member) for member in members)
-
-
-def _member(fields: Fields) -> RigMember:
-    covariance = _motion_covariance(fields["motion_covariance"])
-    twists = _twists(fields["twists"])
-    return RigMember(
-        values.keyframe_id(fields["keyframe"]),
-        poses.transforms(fields["pose_odom_body"], "T_odom_body"),
-        values.text(fields["camera_hash"], "camera_hash", values.CAMERA_HASH),
-        None if covariance is None else covariance.reshape(6, 6),
-        None if twists is None else twists.reshape(2, 6),
-    )
-
-
 def loop_job_fields(job: LoopJob) -> Fields:
     """Fields of a LoopJob."""
-    if not (job.query_rig and job.cand_rig):
-        raise ValueError("a rig is empty")
+    query_rig, cand_rig = rigs.rig_fields(job.query_rig, job.cand_rig)
     return {
         "id": values.text(job.id, "id", values.JOB_ID),
-        "query_rig": [_member_fields(member) for member in job.query_rig],
-        "cand_rig": [_member_fields(member) for member in job.cand_rig],
+        "query_rig": query_rig,
+        "cand_rig": cand_rig,
         "score": values.finite(job.score, "score"),
     }
 
 
 def loop_job(fields: Fields) -> LoopJob:
     """The inverse of `loop_job_fields`."""
+    query_rig, cand_rig = rigs.rigs_of(fields["query_rig"], fields["cand_rig"])
     return LoopJob(
         id=values.text(fields["id"], "id", values.JOB_ID),
-        query_rig=_rig(fields["query_rig"]),
-        cand_rig=_rig(fields["cand_rig"]),
+        query_rig=query_rig,
+        cand_rig=cand_rig,
         score=values.finite(fields["score"], "score"),
     )
 

@@ -61,7 +61,7 @@ def check_rigid(T: Array, name: str) -> None:
 
 def _norm(q: Array) -> Array:
     # Written out: a reduction's order of summation may depend on the shape of the stack.
-    x, y, z, w = np.moveaxis(q, -1, 0)
+    x, y, z, w = (q[..., i] for i in range(4))
     norm: Array = np.sqrt(x * x + y * y + z * z + w * w)
     return norm
 
@@ -70,7 +70,7 @@ def _on_grid(q: Array) -> Array:
     largest = np.take_along_axis(q, np.argmax(np.abs(q), axis=-1)[..., None], axis=-1)
     ratios = np.rint(q / largest * _GRID) / _GRID
     # One sign for q and -q: the last component that is not zero is positive.
-    x, y, z, w = np.moveaxis(ratios, -1, 0)
+    x, y, z, w = (ratios[..., i] for i in range(4))
     leading = np.where(w != 0, w, np.where(z != 0, z, np.where(y != 0, y, x)))
     ratios = np.where(leading[..., None] < 0, -ratios, ratios) + 0.0
     unit: Array = ratios / _norm(ratios)[..., None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import re
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -77,12 +78,15 @@ def ulid(value: str, name: str) -> str:
 
 def numbers(values: ArrayLike, name: str, length: int, bound: float = math.inf) -> NDArray[Any]:
     """`length` finite numbers, none larger than `bound`."""
-    array = np.asarray(values, dtype=np.float64).ravel()
-    if len(array) != length:
-        raise ValueError(f"{name}: {len(array)} numbers instead of {length}")
-    if not (np.isfinite(array).all() and np.all(np.abs(array) <= bound)):
-        raise ValueError(f"{name}: a number is not finite or beyond {bound:g}")
-    return array
+    return _bounded(_of_length(values, name, length), name, bound)
+
+
+def rows(
+    given: Sequence[ArrayLike], name: str, length: int, bound: float = math.inf
+) -> NDArray[Any]:
+    """What `numbers` makes of each, (N, length), in one go."""
+    arrays = [_of_length(values, name, length) for values in given]
+    return _bounded(np.array(arrays).reshape(-1, length), name, bound)
 
 
 def check_symmetric(matrices: NDArray[Any], name: str) -> None:
@@ -95,16 +99,39 @@ def check_symmetric(matrices: NDArray[Any], name: str) -> None:
 
 def covariance(values: ArrayLike, name: str, definite: bool) -> NDArray[Any]:
     """36 numbers of a symmetric positive (semi-)definite 6x6 matrix."""
+    if definite:
+        row: NDArray[Any] = covariances([values], name)[0]
+        return row
     array = numbers(values, name, 36, MAX_COVARIANCE)
     matrix = array.reshape(6, 6)
     check_symmetric(matrix, name)
-    if definite:
-        try:
-            np.linalg.cholesky(matrix)
-        except np.linalg.LinAlgError as error:
-            raise ValueError(f"{name}: not positive definite") from error
-    elif np.linalg.eigvalsh(matrix)[0] < -SYMMETRY_TOLERANCE * np.abs(matrix).max():
+    if np.linalg.eigvalsh(matrix)[0] < -SYMMETRY_TOLERANCE * np.abs(matrix).max():
         raise ValueError(f"{name}: not positive semi-definite")
+    return array
+
+
+def covariances(given: Sequence[ArrayLike], name: str) -> NDArray[Any]:
+    """(N, 36) numbers of symmetric positive definite 6x6 matrices, checked in one go."""
+    arrays = rows(given, name, 36, MAX_COVARIANCE)
+    matrices = arrays.reshape(-1, 6, 6)
+    check_symmetric(matrices, name)
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"{name}: not positive definite") from error
+    return arrays
+
+
+def _of_length(values: ArrayLike, name: str, length: int) -> NDArray[Any]:
+    array = np.asarray(values, dtype=np.float64).ravel()
+    if len(array) != length:
+        raise ValueError(f"{name}: {len(array)} numbers instead of {length}")
+    return array
+
+
+def _bounded(array: NDArray[Any], name: str, bound: float) -> NDArray[Any]:
+    if not (np.isfinite(array).all() and (np.abs(array) <= bound).all()):
+        raise ValueError(f"{name}: a number is not finite or beyond {bound:g}")
     return array
 
 

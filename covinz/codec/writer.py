@@ -7,13 +7,18 @@ the table with its largest fields first.
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, Final
 
-import flatbuffers
 import numpy as np
 
+from covinz.codec.backwards import BackwardsBuffer
 from covinz.codec.layout import ENUMS, IDENTIFIERS, TABLES, UNIONS, Field, Table
 from covinz.codec.reader import Fields
+
+_NUMBERS: Final = {
+    kind: {name: number for number, name in names.items()}
+    for kind, names in (ENUMS | UNIONS).items()
+}
 
 
 def write(name: str, fields: Fields) -> bytes:
@@ -22,96 +27,51 @@ def write(name: str, fields: Fields) -> bytes:
     Raises:
         ValueError: If a number does not fit its field or a required field is None.
     """
-    builder = flatbuffers.Builder(1024 + _bulk(fields))
+    buffer = BackwardsBuffer()
     try:
-        root = write_table(builder, TABLES[name], fields)
+        root = _table(buffer, TABLES[name], fields)
+        return buffer.finish(root, IDENTIFIERS[name])
     except (struct.error, OverflowError, TypeError) as error:
         raise ValueError(f"{name}: {error}") from error
-    builder.Finish(root, IDENTIFIERS[name])
-    return bytes(builder.Output())
 
 
-def _bulk(fields: Fields) -> int:
-    """About how many bytes the vectors take, so that the builder rarely grows."""
-    total = 0
-    for value in fields.values():
-        if isinstance(value, np.ndarray):
-            total += value.nbytes
-        elif isinstance(value, bytes):
-            total += len(value)
-        elif isinstance(value, dict):
-            total += _bulk(value)
-        elif isinstance(value, list):
-            total += sum(_bulk(item) for item in value if isinstance(item, dict))
-    return total
-
-
-def write_table(builder: Any, table: Table, fields: Fields) -> int:
-    """Write a table and all below it; returns its offset in the builder."""
+def _table(buffer: BackwardsBuffer, table: Table, fields: Fields) -> int:
+    """Write a table and all below it; returns its place."""
     values = {}
     for field in table.fields:
         value = fields.get(field.name)
-        if value is None and field.required:
-            raise ValueError(f"{table.name}.{field.name} is missing")
-        left_out = value is None or (field.kind in ("scalar", "enum") and value == field.default)
-        values[field.id] = None if left_out else _child(builder, field, value)
-    builder.StartObject(table.num_slots)
-    for field in table.written:
-        value = values[field.id]
         if value is None:
-            continue
-        if field.kind == "union":
-            value, number = value
-            _inline(builder, struct.Struct("<B"), number, field.id - 1)
-        if field.kind in ("scalar", "enum", "struct"):
-            _inline(builder, field.inline, value, field.id)
-        else:
-            builder.PrependUOffsetTRelative(value)
-            builder.Slot(field.id)
-    offset: int = builder.EndObject()
-    return offset
+            if field.required:
+                raise ValueError(f"{table.name}.{field.name} is missing")
+        elif field.kind == "struct":
+            values[field.id] = value
+        elif field.kind not in ("scalar", "enum"):
+            values[field.id] = _child(buffer, field, value)
+        elif value != field.default:
+            values[field.id] = value if field.kind == "scalar" else _NUMBERS[field.type][value]
+    return buffer.table(table, values)
 
 
-def _inline(builder: Any, form: struct.Struct, value: Any, slot: int) -> None:
-    """Put a number, or the tuple of numbers of a struct, into the table."""
-    data = form.pack(*value) if isinstance(value, tuple) else form.pack(value)
-    builder.Prep(min(form.size, 8), form.size)
-    builder.head -= form.size
-    builder.Bytes[builder.head : builder.head + form.size] = data
-    builder.Slot(slot)
-
-
-def _child(builder: Any, field: Field, value: Any) -> Any:
-    """What the table holds for `value`: itself, or the offset of what is written here."""
+def _child(buffer: BackwardsBuffer, field: Field, value: Any) -> Any:
+    """Write what the table refers to; returns its place, and the number of a union's type."""
     if field.kind == "string":
-        return builder.CreateString(value)
+        return buffer.string(value)
     if field.kind == "vector":
-        return _vector(builder, field, value)
+        return buffer.vector(_bytes(field, value), field.dtype.itemsize)
     if field.kind == "table":
-        return write_table(builder, TABLES[field.type], value)
+        return _table(buffer, TABLES[field.type], value)
     if field.kind == "tables":
-        return _tables(builder, field, value)
-    if field.kind == "union":
-        name, fields = value
-        return write_table(builder, TABLES[name], fields), _number(UNIONS[field.type], name)
-    return _number(ENUMS[field.type], value) if field.kind == "enum" else value
+        table = TABLES[field.type]
+        return buffer.references([_table(buffer, table, item) for item in value])
+    name, fields = value
+    return _table(buffer, TABLES[name], fields), _NUMBERS[field.type][name]
 
 
-def _number(names: dict[int, str], wanted: str) -> int:
-    return next(number for number, name in names.items() if name == wanted)
-
-
-def _vector(builder: Any, field: Field, value: Any) -> Any:
+def _bytes(field: Field, value: Any) -> bytes:
+    """The numbers of a vector as they travel."""
     if isinstance(value, bytes):
-        return builder.CreateByteVector(value)
+        return value
+    array = np.asarray(value)
     if field.dtype.itemsize == 1:
-        return builder.CreateByteVector(value.astype(field.dtype, casting="equiv").tobytes())
-    return builder.CreateNumpyVector(np.ravel(value).astype(field.dtype, casting="same_kind"))
-
-
-def _tables(builder: Any, field: Field, value: list[Fields]) -> Any:
-    offsets = [write_table(builder, TABLES[field.type], item) for item in value]
-    builder.StartVector(4, len(offsets), 4)
-    for offset in reversed(offsets):
-        builder.PrependUOffsetTRelative(offset)
-    return builder.EndVector()
+        return array.astype(field.dtype, casting="equiv", copy=False).tobytes()
+    return array.astype(field.dtype, casting="same_kind", copy=False).tobytes()

@@ -29,15 +29,21 @@ def frozen_array(
         ValueError: If the shape differs, or an integer or boolean array cannot hold the values.
     """
     source = np.asarray(values)
-    with np.errstate(invalid="ignore", over="ignore"):
-        array = source.astype(dtype, order="C", copy=True)
-    if array.dtype.kind in "iub" and source.dtype != array.dtype and np.any(array != source):
-        raise ValueError(f"not all values are {array.dtype}")
+    is_wanted = source.dtype == np.dtype(dtype)
+    array = source.copy(order="C") if is_wanted else _converted(source, dtype)
     if array.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
     ):
         raise ValueError(f"expected an array of shape {shape}, got {array.shape}")
     array.setflags(write=False)
+    return array
+
+
+def _converted(source: NDArray[np.generic], dtype: str) -> NDArray[np.generic]:
+    with np.errstate(invalid="ignore", over="ignore"):
+        array: NDArray[np.generic] = source.astype(dtype, order="C", copy=True)
+    if array.dtype.kind in "iub" and np.any(array != source):
+        raise ValueError(f"not all values are {array.dtype}")
     return array
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from covinz.config import OdometryNoise
 from covinz.frames import local_error
-from covinz.odometry import motion_covariance
+from covinz.odometry import MotionStep, compounded, motion_step
 from covinz.types import Array, Keyframe
 
 # Keyframes nearer in time say more about odometry's noise than about a twist. [s]
@@ -20,13 +20,21 @@ _MAX_TWIST = 100.0
 class OdometryPath:
     """Poses and covariances of a session in order of `seq`, whatever the order of arrival.
 
-    Keyframes that take no part in place recognition are steps of the path all the same.
+    Keyframes that take no part in place recognition are steps of the path all the same. What only
+    depends on neighbours is kept: many rigs lie over the same steps.
+
+    Args:
+        noise: The front-end's usual accuracy.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, noise: OdometryNoise) -> None:
+        self._noise = noise
         self._seqs: list[int] = []
         self._keyframes: list[tuple[Array, Array | None]] = []
         self._stamps_ns: list[int] = []
+        # Of each keyframe, once they are known: the step to it, and its twists.
+        self._steps: list[MotionStep | None] = []
+        self._twists: list[Array | None] = []
 
     def __len__(self) -> int:
         return len(self._seqs)
@@ -39,24 +47,24 @@ class OdometryPath:
         self._seqs.insert(at, kf.id.seq)
         self._keyframes.insert(at, (kf.T_odom_body, kf.covariance))
         self._stamps_ns.insert(at, kf.stamp_ns)
+        self._steps.insert(at, None)
+        self._twists.insert(at, None)
+        # Its neighbours have another neighbour now.
+        for other in range(max(0, at - 1), min(at + 2, len(self._seqs))):
+            self._steps[other] = self._twists[other] = None
 
     def num_after(self, seq: int) -> int:
         """How many logged keyframes follow on one."""
         return len(self._seqs) - bisect_right(self._seqs, seq)
 
-    def covariance(self, first: int, last: int, noise: OdometryNoise) -> Array:
+    def covariance(self, first: int, last: int) -> Array:
         """(6, 6) covariance of the motion between two logged keyframes, in the later body frame.
 
         A step over keyframes that are missing has none of the robot's: that speaks of the motion
         since seq - 1 only.
         """
         begin, end = bisect_left(self._seqs, first), bisect_right(self._seqs, last)
-        seqs, keyframes = self._seqs[begin:end], self._keyframes[begin:end]
-        sent = [
-            covariance if seq == before + 1 else None
-            for before, seq, (_, covariance) in zip(seqs[:-1], seqs[1:], keyframes[1:], strict=True)
-        ]
-        return motion_covariance(np.stack([T for T, _ in keyframes]), sent, noise)
+        return compounded([self._step(at) for at in range(begin + 1, end)], self._noise)
 
     def twists(self, seq: int) -> Array | None:
         """(2, 6) how the body moved before and after a logged keyframe, [rad/s, m/s] in its frame.
@@ -65,12 +73,32 @@ class OdometryPath:
         for both. None without any neighbour at another time.
         """
         at = bisect_left(self._seqs, seq)
+        twists = self._twists[at]
+        if twists is None:
+            twists = self._twists[at] = self._new_twists(at)
+        return twists
+
+    def _step(self, at: int) -> MotionStep:
+        """The step to the keyframe at a position from the one before."""
+        step = self._steps[at]
+        if step is None:
+            (T_prev, _), (T_cur, sent) = self._keyframes[at - 1 : at + 1]
+            is_next = self._seqs[at] == self._seqs[at - 1] + 1
+            step = motion_step(T_prev, T_cur, sent if is_next else None, self._noise)
+            self._steps[at] = step
+        return step
+
+    def _new_twists(self, at: int) -> Array | None:
         before, after = self._mean_twist(at, at - 1), self._mean_twist(at, at + 1)
         if before is None:
             before = after
         if after is None:
             after = before
-        return None if before is None or after is None else np.stack([before, after])
+        if before is None or after is None:
+            return None
+        twists = np.stack([before, after])
+        twists.setflags(write=False)  # everybody gets the same
+        return twists
 
     def _mean_twist(self, at: int, other: int) -> Array | None:
         if not 0 <= other < len(self._seqs):

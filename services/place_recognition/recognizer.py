@@ -51,6 +51,7 @@ class Recognizer:
         self._places = places
         self._mint = JobMint(solver, config.rigs, places.identity)
         self._rule = RigRule(config.rigs, solver, camera)
+        self._noise = solver.fast.odometry
         self._tracks: dict[SegmentId, Track] = {}
         self._tracks_of: defaultdict[str, list[Track]] = defaultdict(list)
         self._history: defaultdict[SegmentId, QueryHistory] = defaultdict(QueryHistory)
@@ -112,7 +113,7 @@ class Recognizer:
         for track in self._tracks_of[segment.agent]:
             self._over.add(track.segment)
             jobs += self._form(self._waiting.pop(track.segment, []))
-        self._tracks[segment] = Track(segment)
+        self._tracks[segment] = Track(segment, self._noise)
         self._tracks_of[segment.agent].append(self._tracks[segment])
         return jobs
 

@@ -88,7 +88,7 @@ class RigRule:
         # Whatever size is asked for, a session that has the paper's number can close loops.
         if rig is None or len(rig.members) < min(size, 3):
             return None
-        return dataclasses.replace(rig, members=self._with_odometry(track, rig.members))
+        return dataclasses.replace(rig, members=_with_odometry(track, rig.members))
 
     def _best(self, around: Members, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
         """The best rig by geometry; None where a calibration is missing or unusable."""
@@ -113,23 +113,6 @@ class RigRule:
             return None
         return Rig(tuple(around[row] for row in choice.rows), choice.information)
 
-    def _with_odometry(self, track: Track, members: Members) -> Members:
-        in_time = sorted(members, key=lambda member: member.keyframe.seq)
-        covariances = {
-            later.keyframe: track.path.covariance(
-                earlier.keyframe.seq, later.keyframe.seq, self._fast.odometry
-            )
-            for earlier, later in pairwise(in_time)
-        }
-        return tuple(
-            dataclasses.replace(
-                member,
-                motion_covariance=covariances.get(member.keyframe),
-                twists=track.path.twists(member.keyframe.seq),
-            )
-            for member in members
-        )
-
 
 def nearest(track: Track, seq: int, size: int) -> Rig | None:
     """The paper's rule: a keyframe and its nearest logged neighbours by index.
@@ -141,6 +124,23 @@ def nearest(track: Track, seq: int, size: int) -> Rig | None:
     num_before = min(len(before), max(size // 2, size - 1 - len(after)))
     chosen = (*before[:num_before], *after[: size - 1 - num_before])
     return Rig((track.member(seq), *chosen), math.inf) if chosen else None
+
+
+def _with_odometry(track: Track, members: Members) -> Members:
+    """The members with what the session's odometry says of them."""
+    in_time = sorted(members, key=lambda member: member.keyframe.seq)
+    covariances = {
+        later.keyframe: track.path.covariance(earlier.keyframe.seq, later.keyframe.seq)
+        for earlier, later in pairwise(in_time)
+    }
+    return tuple(
+        dataclasses.replace(
+            member,
+            motion_covariance=covariances.get(member.keyframe),
+            twists=track.path.twists(member.keyframe.seq),
+        )
+        for member in members
+    )
 
 
 def overlap(query: Sequence[RigMember], cand: Sequence[RigMember]) -> bool:

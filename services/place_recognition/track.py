@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from covinz.config import OdometryNoise
 from covinz.types import Array, Keyframe, KeyframeId, RigMember, SegmentId
 from services.place_recognition.odometry_path import OdometryPath
 
@@ -32,11 +33,15 @@ class Track:
 
     `slots` holds each keyframe's place in the index, -1 for one that was never put in; `path` has
     all keyframes of the session, also those that take no part in place recognition.
+
+    Args:
+        segment: The session.
+        noise: Accuracy of a front-end that nothing is known of.
     """
 
-    def __init__(self, segment: SegmentId) -> None:
+    def __init__(self, segment: SegmentId, noise: OdometryNoise) -> None:
         self.segment = segment
-        self.path = OdometryPath()
+        self.path = OdometryPath(noise)
         self.seqs: list[int] = []
         self.slots: list[int] = []
         self._members: list[RigMember] = []

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from covinz.config import PlaceRecognitionConfig
+from covinz.config import OdometryNoise, PlaceRecognitionConfig
 from covinz.frames import transform
 from covinz.types import Keyframe, KeyframeId, SegmentId
 from services.place_recognition.guards import (
@@ -26,7 +26,7 @@ def config(**values: object) -> PlaceRecognitionConfig:
 
 def track_of(segment: SegmentId, count: int, first_slot: int = 0) -> Track:
     """Keyframes 2 s and 3 m apart; keyframe i is in slot first_slot + i."""
-    track = Track(segment)
+    track = Track(segment, OdometryNoise())
     for seq in range(count):
         kf_id = KeyframeId(segment.agent, segment.session, seq)
         T = transform(np.eye(3), [3.0 * seq, 0.0, 0.0])

@@ -22,7 +22,7 @@ def keyframe(seq: int) -> Keyframe:
 
 
 def path_of(seqs: list[int]) -> OdometryPath:
-    path = OdometryPath()
+    path = OdometryPath(NOISE)
     for seq in seqs:
         path.insert(keyframe(seq))
     return path
@@ -31,21 +31,21 @@ def path_of(seqs: list[int]) -> OdometryPath:
 @given(st.permutations(range(8)))
 def test_order_of_arrival_leaves_no_trace(arrival: list[int]) -> None:
     path, ordered = path_of(arrival), path_of(sorted(arrival))
-    np.testing.assert_array_equal(path.covariance(1, 6, NOISE), ordered.covariance(1, 6, NOISE))
+    np.testing.assert_array_equal(path.covariance(1, 6), ordered.covariance(1, 6))
     assert [path.num_after(seq) for seq in range(8)] == list(range(7, -1, -1))
 
 
 def test_every_keyframe_between_counts() -> None:
     T = np.stack([keyframe(seq).T_odom_body for seq in range(2, 6)])
     np.testing.assert_array_equal(
-        path_of(list(range(9))).covariance(2, 5, NOISE), motion_covariance(T, [SENT] * 3, NOISE)
+        path_of(list(range(9))).covariance(2, 5), motion_covariance(T, [SENT] * 3, NOISE)
     )
 
 
 def test_over_missing_keyframes_the_robot_said_nothing() -> None:
     T = np.stack([keyframe(seq).T_odom_body for seq in (2, 3, 6)])
     np.testing.assert_array_equal(
-        path_of([1, 2, 3, 6, 7]).covariance(2, 6, NOISE),
+        path_of([1, 2, 3, 6, 7]).covariance(2, 6),
         motion_covariance(T, [SENT, None], NOISE),
     )
 
@@ -57,7 +57,7 @@ def test_a_keyframe_twice_is_an_error() -> None:
 
 def turning(turns_rad: list[float], stamps_ms: list[int]) -> OdometryPath:
     """A body that moves ahead a centimetre a millisecond and turns about its z."""
-    path = OdometryPath()
+    path = OdometryPath(NOISE)
     for seq, (turn_rad, stamp_ms) in enumerate(zip(turns_rad, stamps_ms, strict=True)):
         T = transform(so3_exp([0.0, 0.0, turn_rad]), [0.01 * stamp_ms, 0.0, 0.0])
         kf = keyframe(seq)

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from covinz.config import LoopSolverConfig, MatchingConfig, RigConfig
+from covinz.config import LoopSolverConfig, MatchingConfig, OdometryNoise, RigConfig
 from covinz.frames import transform
 from covinz.odometry import FLOOR
 from covinz.types import Array, Camera, Keyframe, KeyframeId, SegmentId
@@ -28,7 +28,7 @@ def track_of(
     step_m: float = 0.08,
     covariance: Array | None = None,
 ) -> Track:
-    track = Track(segment)
+    track = Track(segment, OdometryNoise())
     for seq in seqs:
         kf_id = KeyframeId(segment.agent, segment.session, seq)
         T_odom_body = transform(np.eye(3), [step_m * seq, 0.0, 0.0])

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from covinz.config import OdometryNoise
 from covinz.frames import transform
 from covinz.types import Keyframe, KeyframeId, SegmentId
 from services.place_recognition.track import PastQuery, QueryHistory, Track
@@ -25,7 +26,7 @@ def keyframe(seq: int) -> Keyframe:
 
 
 def track_of(seqs: list[int]) -> Track:
-    track = Track(SEGMENT)
+    track = Track(SEGMENT, OdometryNoise())
     for seq in seqs:
         track.insert(keyframe(seq))
     return track
@@ -53,7 +54,7 @@ def test_neighbours_are_nearest_first_and_skip_gaps() -> None:
 
 
 def test_distances_have_units() -> None:
-    track = Track(SEGMENT)
+    track = Track(SEGMENT, OdometryNoise())
     for seq, x_m in ((0, 0.0), (1, 3.0), (2, 1.0)):
         kf = keyframe(seq)
         T = transform(np.eye(3), [x_m, 0.0, 0.0])
@@ -66,7 +67,7 @@ def test_distances_have_units() -> None:
 
 
 def test_a_late_keyframe_lengthens_the_path_behind_it() -> None:
-    track = Track(SEGMENT)
+    track = Track(SEGMENT, OdometryNoise())
     for seq, y_m in ((0, 0.0), (2, 0.0), (1, 4.0)):
         kf = keyframe(seq)
         T = transform(np.eye(3), [0.0, y_m, 0.0])
