@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from typing import Protocol
 
-from covinz import codec, keyexprs
+from covinz import codec
 from covinz.bus import Bus, Query
 from covinz.config import OptimizerConfig
 from covinz.damage import rebuildable
@@ -23,7 +23,6 @@ from covinz.log_follower import LogFollower, LogReset
 from covinz.logs import about
 from covinz.service import Context, StatusRequest
 from covinz.types import (
-    Correction,
     Duplicate,
     Gap,
     LogPage,
@@ -35,8 +34,8 @@ from covinz.types import (
     Stored,
 )
 from services.optimizer.admission import admit
+from services.optimizer.announcements import Announcements
 from services.optimizer.components import Component
-from services.optimizer.corrections import make_correction
 from services.optimizer.doors import (
     RETRY_AFTER_S,
     Asked,
@@ -146,24 +145,19 @@ class Optimizer:
         look_for_loops: Callable[[str], object] | None = None,
     ) -> None:
         self._store = store
-        self._bus = bus
         self._config = config
         self._submit = submit
         self._instance = instance
         self._clock_s = clock_s
-        self._now_ns = now_ns
         self._look_for_loops = look_for_loops
         # The journal may have loops that are not here; and it may have all that there are.
         self._may_lack_loops = self._may_lack_all = False
         self._maps = Maps(config)
-        self._corrections = {c.keyframe.agent: c for c in store.corrections()}
-        # Of all logs: robots take no correction that is older than the one they have.
-        self._last_stamp_ns = max((c.stamp_ns for c in self._corrections.values()), default=0)
         self._counters: Counter[str] = Counter(faulty_loops=len(store.faults()))
         self._last_job_ms = 0.0
         self._log_id, self._cursor, self._head = "", 0, 0
-        self._uncorrected: set[SegmentId] = set()
         self._unsent = Unsent(store)
+        self._announcements = Announcements(store, self._unsent, bus, config, now_ns)
         self._epoch = 0
         self._running = False
         self._pace = Pace(config)
@@ -189,14 +183,15 @@ class Optimizer:
                 case OptimisationCrashed(error):
                     raise error
         self._optimise()
-        self._correct_new_segments()
-        self._send_corrections()
+        if self._caught_up:
+            self._announcements.introduce(self._maps, self._clock_s())
+        self._announcements.send(self._clock_s())
         for event in events:
             match event:
                 case StatusRequest():
                     event.answer(self.status())
                 case Asked(query):
-                    answer_question(query, self._maps, self._corrections)
+                    answer_question(query, self._maps, self._announcements.last)
 
     def patience_s(self) -> float | None:
         """How long to wait for events; None: until there is one."""
@@ -212,6 +207,7 @@ class Optimizer:
             "maps": len(self._maps.map_list().maps),
             "keyframes": self._maps.num_keyframes,
             "loops": self._maps.num_loops,
+            "jumps": self._announcements.jumps,
             "last_optimisation_ms": self._last_job_ms,
             "map_revision": self._store.revision,
         }
@@ -297,13 +293,12 @@ class Optimizer:
             self._may_lack_loops = True
             self._may_lack_all = self._may_lack_all or self._store.log_id != log_id
             self._look_for_loops(log_id)
-        if self._store.log_id != log_id:
+        is_other = self._store.log_id != log_id
+        if is_other:
             self._store.begin_log(log_id)
-            self._corrections.clear()
-            self._unsent.clear()
+        self._announcements.begin_log(is_other)
         self._counters["faulty_loops"] = len(self._store.faults())
         self._maps.clear()
-        self._uncorrected.clear()
         for loop in self._store.loops():
             self._maps.add_loop(loop)
         self._log_id, self._cursor, self._head = log_id, 0, 0
@@ -324,7 +319,7 @@ class Optimizer:
                 self._counters["gaps"] += 1
                 continue
             if self._maps.add_keyframe(entry.log_index, entry.item, self._store.revision):
-                self._uncorrected.add(entry.item.id.segment)
+                self._announcements.expect(entry.item.id.segment)
             self._quiet_since_s = self._clock_s()
 
     @property
@@ -382,37 +377,4 @@ class Optimizer:
             else:
                 self._counters["outdated_optimisations"] += 1
         if changed:
-            self._publish(revision, changed)
-
-    # --- corrections -------------------------------------------------------------------------
-
-    def _correct_new_segments(self) -> None:
-        """A segment's first correction; not before its map shows what is known of it."""
-        if not self._uncorrected or not self._caught_up:
-            return
-        stale = {name for segments, _ in self._maps.stale(False) for name in segments}
-        if ready := self._uncorrected - stale:
-            self._publish(self._store.revision, ready)
-
-    def _publish(self, revision: int, segments: set[SegmentId]) -> None:
-        """Corrections to the agents whose newest segment is among `segments`."""
-        corrections: list[Correction] = []
-        stamp_ns = max(self._now_ns(), self._last_stamp_ns)
-        for segment in self._maps.newest_segments():
-            found = self._maps.placement(segment)
-            if segment in segments and found is not None:
-                previous = self._unsent.of(segment.agent) or self._corrections.get(segment.agent)
-                corrections.append(make_correction(*found, previous, self._config, stamp_ns))
-        self._unsent.write(lambda: self._store.publish(revision, corrections), self._clock_s())
-        self._uncorrected -= segments
-        for correction in corrections:
-            self._unsent.add(correction)
-            self._last_stamp_ns = max(self._last_stamp_ns, correction.stamp_ns + 1)
-            self._counters["jumps"] += correction.jumped
-
-    def _send_corrections(self) -> None:
-        """Publish what is durable."""
-        for correction in self._unsent.take(self._clock_s()):
-            agent = correction.keyframe.agent
-            self._corrections[agent] = correction
-            self._bus.put(keyexprs.agent_correction(agent), codec.encode(correction))
+            self._announcements.prepare(self._maps, revision, changed, self._clock_s())
