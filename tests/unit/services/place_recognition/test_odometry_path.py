@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from covinz.config import OdometryNoise
@@ -33,6 +33,21 @@ def test_order_of_arrival_leaves_no_trace(arrival: list[int]) -> None:
     path, ordered = path_of(arrival), path_of(sorted(arrival))
     np.testing.assert_array_equal(path.covariance(1, 6), ordered.covariance(1, 6))
     assert [path.num_after(seq) for seq in range(8)] == list(range(7, -1, -1))
+
+
+@settings(max_examples=20)
+@given(st.permutations(range(8)))
+def test_what_was_asked_before_leaves_no_trace(arrival: list[int]) -> None:
+    asked = OdometryPath(NOISE)
+    for count, seq in enumerate(arrival, start=1):
+        asked.insert(keyframe(seq))
+        known = sorted(arrival[:count])
+        fresh = path_of(known)
+        for one in known:
+            np.testing.assert_array_equal(asked.twists(one), fresh.twists(one))
+        if count > 1:
+            ends = known[0], known[-1]
+            np.testing.assert_array_equal(asked.covariance(*ends), fresh.covariance(*ends))
 
 
 def test_every_keyframe_between_counts() -> None:

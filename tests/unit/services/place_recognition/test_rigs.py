@@ -5,7 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from covinz.config import LoopSolverConfig, MatchingConfig, OdometryNoise, RigConfig
@@ -30,12 +30,16 @@ def track_of(
 ) -> Track:
     track = Track(segment, OdometryNoise())
     for seq in seqs:
-        kf_id = KeyframeId(segment.agent, segment.session, seq)
-        T_odom_body = transform(np.eye(3), [step_m * seq, 0.0, 0.0])
-        kf = Keyframe(kf_id, seq, T_odom_body, HASH, None, covariance)
-        track.path.insert(kf)
-        track.insert(kf)
+        add(track, seq, step_m, covariance)
     return track
+
+
+def add(track: Track, seq: int, step_m: float = 0.08, covariance: Array | None = None) -> None:
+    kf_id = KeyframeId(track.segment.agent, track.segment.session, seq)
+    T_odom_body = transform(np.eye(3), [step_m * seq, 0.0, 0.0])
+    kf = Keyframe(kf_id, 10_000_000 * seq, T_odom_body, HASH, None, covariance)
+    track.path.insert(kf)
+    track.insert(kf)
 
 
 def seqs(rig: Rig | None) -> list[int] | None:
@@ -130,6 +134,33 @@ def test_the_order_of_arrival_does_not_matter(arrival: list[int], seq: int) -> N
     assert seqs(one) == seqs(other) and one.information == other.information
     for a, b in zip(one.members, other.members, strict=True):
         np.testing.assert_array_equal(a.motion_covariance, b.motion_covariance)
+
+
+@settings(max_examples=15)
+@given(st.permutations(range(9)), st.booleans())
+def test_rigs_are_those_of_a_rule_that_never_saw_another(
+    arrival: list[int], is_same_session: bool
+) -> None:
+    segment = SEGMENT if is_same_session else OTHER
+    options = {"query_size": 3, "cand_size": 4}
+    used, track = rule(LoopSolverConfig(), **options), track_of([])
+    for count, seq in enumerate(arrival, start=1):
+        add(track, seq)
+        known = sorted(arrival[:count])
+        for pair in (pair_of(one, other, segment) for one in known for other in (known[0], 8)):
+            fresh = rule(LoopSolverConfig(), **options)
+            if pair.query != pair.cand:
+                same_rig(used.query(pair, track), fresh.query(pair, track_of(known)))
+                same_rig(used.query(pair, track), fresh.query(pair, track))
+
+
+def same_rig(one: Rig | None, other: Rig | None) -> None:
+    assert seqs(one) == seqs(other)
+    if one is not None and other is not None:
+        assert one.information == other.information
+        for a, b in zip(one.members, other.members, strict=True):
+            np.testing.assert_array_equal(a.motion_covariance, b.motion_covariance)
+            np.testing.assert_array_equal(a.twists, b.twists)
 
 
 def test_the_profile_decides_unless_the_configuration_does() -> None:
