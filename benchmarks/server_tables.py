@@ -61,7 +61,8 @@ def _dispatch(made: Mapping[str, Any]) -> str:
 def _solving(made: Mapping[str, Any]) -> str:
     return (
         "\nReal solving, all processes on two cores, from the first upload to the last of"
-        f" {made['jobs']} outcomes: {_rates(made)} (x {made['scaling']:.2f}).\n"
+        f" {made['jobs']} outcomes, medians of {made['rounds']} rounds: {_rates(made)}"
+        f" (x {made['scaling']:.2f}).\n"
     )
 
 

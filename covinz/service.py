@@ -39,6 +39,11 @@ __all__ = ["Context", "Inbox", "StatusRequest", "Stopped", "serve", "serve_on"]
 
 logger = logging.getLogger(__name__)
 
+# A thread that computes lets a waiting one go on after this long: a request that comes in while an
+# entry is looked up or a map is optimised must not wait Python's 5 ms for each step of its way.
+# [s; two solvers do 9 % more jobs with it, and a switch costs some 10 us]
+SWITCH_INTERVAL_S = 0.0005
+
 # Questions that a process still waits for so long after it was told to stop are ended. [s]
 STOP_GRACE_S = 3.0
 # When all is done, the session and the interpreter may take so long to close. A session whose
@@ -101,6 +106,7 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     # code is ever interrupted half-way by a signal handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
     arguments = _arguments(name)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     set_up_logging(name, instance_name(arguments.id), form=arguments.log_format)
     try:
         config = configuration.load(arguments.config)
