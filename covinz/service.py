@@ -41,7 +41,7 @@ logger = logging.getLogger(__name__)
 
 # A thread that computes lets a waiting one go on after this long: a request that comes in while an
 # entry is looked up or a map is optimised must not wait Python's 5 ms for each step of its way.
-# [s; two solvers do 9 % more jobs with it, and a switch costs some 10 us]
+# [s; measured with benchmarks/load.py: two solvers do 9 % more jobs]
 SWITCH_INTERVAL_S = 0.0005
 
 # Questions that a process still waits for so long after it was told to stop are ended. [s]
