@@ -185,9 +185,6 @@ class Dispatcher(Generic[Asker]):
             return
         entry = loan.job
         self._absolve(worker)
-        if entry.state is JobState.DEAD:
-            self._forget_outcome(entry, entry.failures)
-            entry.state = JobState.PENDING
         if entry.state is JobState.PENDING:
             self._pending.discard(entry.number)
             entry.state = JobState.LEASED
@@ -277,11 +274,17 @@ class Dispatcher(Generic[Asker]):
         self._return(entry)
 
     def _absolve(self, worker: str) -> None:
-        """A worker that had vanished lives: its job has failed once less."""
+        """A worker that had vanished lives: its job has failed once less, and is not dead."""
         loan = self._doubts.pop(worker, None)
-        if loan is not None and loan.job.failures > 0:
-            loan.job.failures -= 1
-            self._journal.note_failures(loan.job.job.id, loan.job.failures)
+        if loan is None or not loan.job.failures:
+            return
+        entry = loan.job
+        entry.failures -= 1
+        if entry.state is JobState.DEAD:
+            self._forget_outcome(entry, entry.failures)
+            self._return(entry)
+        else:
+            self._journal.note_failures(entry.job.id, entry.failures)
 
     def _return(self, entry: Job) -> None:
         """Make a job without an outcome available, or give it up."""

@@ -187,6 +187,27 @@ def test_a_job_given_up_too_early_is_taken_up_again(desk: Dispatcher[str]) -> No
     assert desk.counters["rejected.dead_letter"] == 0
 
 
+def test_a_dead_job_waits_again_when_one_of_its_workers_only_lost_its_link(
+    desk: Dispatcher[str], journal: Journal
+) -> None:
+    desk.add(job(0))
+    for worker in ("w1", "w2", "w3"):
+        desk.request(worker, worker, 0.0)
+        desk.advance(0.0)
+        desk.worker_gone(worker)
+    assert len(desk.advance(0.0).dead) == 1
+    # It has not the job any more: it asks for one.
+    desk.request("w1", "late", 1.0)
+    desk.request("w1", "again", 1.0)
+    assert desk.counters["rejected.dead_letter"] == 0
+    assert journal.recall(job(0).id).outcome is None
+    assert lent(desk, 1.0) == [("again", "00", 3)]
+    desk.worker_gone("w1")
+    assert len(desk.advance(1.0).dead) == 1
+    record = desk.page(0).records[0]
+    assert (record.state, record.attempts) == (JobState.DEAD, 3)
+
+
 def test_a_dead_job_may_be_tried_again(journal: Journal) -> None:
     desk = make(journal, 2)
     for worker in ("w1", "w2", "w3"):
