@@ -174,13 +174,18 @@ def test_a_job_that_went_to_another_meanwhile_has_not_failed(desk: Dispatcher[st
     assert (desk.pending, desk.leased) == (0, 0)
 
 
-def test_a_job_given_up_too_early_is_taken_up_again(desk: Dispatcher[str]) -> None:
+def lose_three_workers(desk: Dispatcher[str]) -> None:
+    """A new job is dead after them."""
     desk.add(job(0))
     for worker in ("w1", "w2", "w3"):
         desk.request(worker, worker, 0.0)
         desk.advance(0.0)
         desk.worker_gone(worker)
     assert len(desk.advance(0.0).dead) == 1
+
+
+def test_a_job_given_up_too_early_is_taken_up_again(desk: Dispatcher[str]) -> None:
+    lose_three_workers(desk)
     desk.worker_back("w3")
     record = desk.page(0).records[0]
     assert (record.state, record.attempts, record.outcome) == (JobState.LEASED, 3, None)
@@ -190,12 +195,7 @@ def test_a_job_given_up_too_early_is_taken_up_again(desk: Dispatcher[str]) -> No
 def test_a_dead_job_waits_again_when_one_of_its_workers_only_lost_its_link(
     desk: Dispatcher[str], journal: Journal
 ) -> None:
-    desk.add(job(0))
-    for worker in ("w1", "w2", "w3"):
-        desk.request(worker, worker, 0.0)
-        desk.advance(0.0)
-        desk.worker_gone(worker)
-    assert len(desk.advance(0.0).dead) == 1
+    lose_three_workers(desk)
     # It has not the job any more: it asks for one.
     desk.request("w1", "late", 1.0)
     desk.request("w1", "again", 1.0)
