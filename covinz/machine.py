@@ -13,6 +13,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Protocol
 
+from covinz.niceness import LONG_TURNS_S, take_turns
+
 
 class Lock(Protocol):
     """Mutual exclusion of the threads of one process: ``with lock: ...``."""
@@ -81,9 +83,13 @@ class Machine(Protocol):
         """A new event that has not happened."""
 
     def thread(
-        self, target: Callable[[], object], name: str, daemon: bool = False
+        self,
+        target: Callable[[], object],
+        name: str,
+        daemon: bool = False,
+        computes: bool = False,
     ) -> threading.Thread:
-        """A thread that has not been started."""
+        """A thread that has not been started; `computes`: others that are woken go before it."""
 
 
 class ThisMachine:
@@ -114,10 +120,19 @@ class ThisMachine:
         return threading.Event()
 
     def thread(
-        self, target: Callable[[], object], name: str, daemon: bool = False
+        self,
+        target: Callable[[], object],
+        name: str,
+        daemon: bool = False,
+        computes: bool = False,
     ) -> threading.Thread:
         """See `Machine.thread`."""
-        return threading.Thread(target=target, name=name, daemon=daemon)
+
+        def run() -> None:
+            take_turns(LONG_TURNS_S)
+            target()
+
+        return threading.Thread(target=run if computes else target, name=name, daemon=daemon)
 
 
 THIS_MACHINE = ThisMachine()

@@ -225,8 +225,9 @@ class Supervisor:
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT if output else None,
-                    # Ctrl-C reaches this command only; it then asks its children in order.
-                    start_new_session=True,
+                    # Ctrl-C reaches this command only; it then asks its children in order. Not a
+                    # session: who gives way to whom would not count between them.
+                    process_group=0,
                     preexec_fn=die_with_parent,
                 )
                 self._children[spec.name] = child

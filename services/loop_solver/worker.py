@@ -85,7 +85,7 @@ class Worker:
         self._declared = [bus.declare_alive(keyexprs.worker_alive(worker))]
         for key in (keyexprs.JOB_LEASE, keyexprs.JOB_DONE, keyexprs.LOOP):
             self._declared.append(bus.watch_answered(key, self._on_answered))
-        self._thread = machine.thread(self._run, "worker")
+        self._thread = machine.thread(self._run, "worker", computes=True)
         self.counters: Counter[str] = Counter()
 
     @property

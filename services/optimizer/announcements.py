@@ -12,7 +12,7 @@ from covinz.types import Correction, SegmentId
 from services.optimizer.corrections import make_correction
 from services.optimizer.loop_store import LoopStore
 from services.optimizer.maps import Maps
-from services.optimizer.unsent import Unsent
+from services.optimizer.unsent import Encoded, Unsent
 
 
 class Announcements:
@@ -74,23 +74,25 @@ class Announcements:
 
     def prepare(self, maps: Maps, revision: int, segments: set[SegmentId], now_s: float) -> None:
         """Corrections to the robots whose newest segment is among `segments`, for the store."""
-        corrections: list[Correction] = []
+        corrections: dict[str, Encoded] = {}
         stamp_ns = max(self._now_ns(), self._last_stamp_ns)
         for segment in maps.newest_segments():
             found = maps.placement(segment)
             if segment in segments and found is not None:
                 previous = self._unsent.of(segment.agent) or self._last.get(segment.agent)
-                corrections.append(make_correction(*found, previous, self._config, stamp_ns))
-        self._unsent.write(lambda: self._store.publish(revision, corrections), now_s)
+                made = make_correction(*found, previous, self._config, stamp_ns)
+                corrections[segment.agent] = Encoded(made, codec.encode(made))
+        payloads = {agent: encoded.payload for agent, encoded in corrections.items()}
+        self._unsent.write(lambda: self._store.publish(revision, payloads), now_s)
         self._waiting -= segments
-        for correction in corrections:
-            self._unsent.add(correction)
-            self._last_stamp_ns = max(self._last_stamp_ns, correction.stamp_ns + 1)
-            self.jumps += correction.jumped
+        for agent, encoded in corrections.items():
+            self._unsent.add(agent, encoded)
+            self._last_stamp_ns = max(self._last_stamp_ns, encoded.correction.stamp_ns + 1)
+            self.jumps += encoded.correction.jumped
 
     def send(self, now_s: float) -> None:
         """Publish what is durable."""
-        for correction in self._unsent.take(now_s):
-            agent = correction.keyframe.agent
-            self._last[agent] = correction
-            self._bus.put(keyexprs.agent_correction(agent), codec.encode(correction))
+        for encoded in self._unsent.take(now_s):
+            agent = encoded.correction.keyframe.agent
+            self._last[agent] = encoded.correction
+            self._bus.put(keyexprs.agent_correction(agent), encoded.payload)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -146,10 +146,10 @@ class LoopStore:
             db.execute("UPDATE log SET log_id = ?, seen = 0, chain = ''", (log_id,))
         self._seen = LogMark(log_id)
 
-    def publish(self, revision: int, corrections: Sequence[Correction]) -> None:
-        """Remember what is about to be published; raises StoreUnavailable."""
+    def publish(self, revision: int, corrections: Mapping[str, bytes]) -> None:
+        """Remember what is about to be published, by agent; raises StoreUnavailable."""
         self._revision = revision
-        self._corrections |= {c.keyframe.agent: codec.encode(c) for c in corrections}
+        self._corrections |= corrections
         self.commit()
 
     def commit(self) -> None:

@@ -56,6 +56,8 @@ logger = logging.getLogger(__name__)
 
 # Events taken together, so that loops share a commit.
 EVENTS_PER_STEP = 256
+# Of the loops that came last it is known without reading them that they are durable.
+REMEMBERED_LOOPS = 1024
 
 
 class Submit(Protocol):
@@ -158,6 +160,8 @@ class Optimizer:
         self._log_id, self._cursor, self._head = "", 0, 0
         self._unsent = Unsent(store)
         self._announcements = Announcements(store, self._unsent, bus, config, now_ns)
+        # As they came; workers bring every loop twice, and few wait in between.
+        self._durable: dict[bytes, None] = {}
         self._epoch = 0
         self._running = False
         self._pace = Pace(config)
@@ -230,6 +234,9 @@ class Optimizer:
         """Make loops durable with one commit, take them among the inputs, then ack them."""
         admitted: list[tuple[Query, LoopClosure]] = []
         for query in queries:
+            if query.payload in self._durable:
+                reply(query, Duplicate())
+                continue
             verdict = admit(query.payload)
             if isinstance(verdict, LoopClosure):
                 if self._is_of_this_log(verdict):
@@ -256,7 +263,13 @@ class Optimizer:
                 self._maps.add_loop(loop)
                 extra = about(keyframe=loop.query, job=loop.job_id)
                 logger.info("loop %s: %s sees %s", loop.job_id, loop.query, loop.cand, extra=extra)
+            self._remember(query.payload)
             reply(query, Stored() if is_new else Duplicate())
+
+    def _remember(self, payload: bytes) -> None:
+        self._durable[payload] = None
+        if len(self._durable) > REMEMBERED_LOOPS:
+            del self._durable[next(iter(self._durable))]
 
     def _take_found(self, found: LoopsFound) -> None:
         """Loops of the journal: most are here already."""
@@ -296,6 +309,7 @@ class Optimizer:
         is_other = self._store.log_id != log_id
         if is_other:
             self._store.begin_log(log_id)
+            self._durable.clear()
         self._announcements.begin_log(is_other)
         self._counters["faulty_loops"] = len(self._store.faults())
         self._maps.clear()

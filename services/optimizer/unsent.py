@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from covinz.damage import Trouble
 from covinz.types import Correction
@@ -15,6 +16,14 @@ logger = logging.getLogger(__name__)
 RETRY_S = 1.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Encoded:
+    """A correction and its bytes: those that are stored are those that are sent."""
+
+    correction: Correction
+    payload: bytes
+
+
 class Unsent:
     """The latest correction of each agent that waits for the store; for one thread.
 
@@ -24,7 +33,7 @@ class Unsent:
 
     def __init__(self, store: LoopStore) -> None:
         self._store = store
-        self._corrections: dict[str, Correction] = {}
+        self._corrections: dict[str, Encoded] = {}
         self._trouble: Trouble | None = None
         self.retry_at_s: float | None = None
 
@@ -38,11 +47,12 @@ class Unsent:
 
     def of(self, agent: str) -> Correction | None:
         """What waits for an agent."""
-        return self._corrections.get(agent)
+        waiting = self._corrections.get(agent)
+        return None if waiting is None else waiting.correction
 
-    def add(self, correction: Correction) -> None:
+    def add(self, agent: str, correction: Encoded) -> None:
         """A correction that the store was told of; it replaces the one before."""
-        self._corrections[correction.keyframe.agent] = correction
+        self._corrections[agent] = correction
 
     def write(self, change: Callable[[], None], now_s: float) -> None:
         """Change the store; if it cannot be written it remembers, and is tried again later."""
@@ -59,7 +69,7 @@ class Unsent:
             logger.error("loops and corrections wait: %s", error)
         self._trouble, self.retry_at_s = error.trouble, now_s + RETRY_S
 
-    def take(self, now_s: float) -> list[Correction]:
+    def take(self, now_s: float) -> list[Encoded]:
         """The corrections that are durable, by agent; each is given once."""
         if self.retry_at_s is not None and now_s >= self.retry_at_s:
             self.write(self._store.commit, now_s)

@@ -78,7 +78,7 @@ class OptimisationThread:
         self._changed = machine.condition()  # guards what follows
         self._jobs: deque[tuple[tuple[Component, ...], int]] = deque()
         self._closing = False
-        self._thread = machine.thread(self._run, "optimise")
+        self._thread = machine.thread(self._run, "optimise", computes=True)
         self._thread.start()
 
     def submit(self, components: tuple[Component, ...], epoch: int) -> None:

@@ -62,7 +62,11 @@ class SimulatedMachine:
         return SimulatedEvent(self)
 
     def thread(
-        self, target: Callable[[], object], name: str, daemon: bool = False
+        self,
+        target: Callable[[], object],
+        name: str,
+        daemon: bool = False,
+        computes: bool = False,
     ) -> threading.Thread:
         """See `Machine.thread`."""
         task = Task(

@@ -15,6 +15,8 @@ import pytest
 
 from covinz import keyexprs
 from covinz.bus import ZenohBus
+from covinz.niceness import LONG_TURNS_S, SHORT_TURNS_S
+from tests.turns import turn_s
 
 WAIT_S = 20.0
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -76,6 +78,41 @@ def test_a_signal_ends_a_service_cleanly(
     lines = (tmp_path / "example.log").read_text().splitlines()
     assert any("INFO    example-2 covinz.service: ready" in line for line in lines)
     assert not any("Traceback" in line for line in lines)
+
+
+def threads(pid: int) -> dict[int, str]:
+    """Names of a process's threads by their ids."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return {int(task.name): (task / "comm").read_text().strip() for task in tasks}
+
+
+def test_what_comes_in_passes_through_one_thread_of_zenoh(
+    start_service: Start, open_bus: Callable[[], ZenohBus]
+) -> None:
+    router, solver = start_service("router"), start_service("loop_solver")
+    bus = open_bus()
+    wait_alive(bus, "loop_solver", "loop_solver")
+    for process in (router, solver):
+        kinds = {name.split("-")[0] for name in threads(process.pid).values()}
+        assert {"rx", "tx"} <= kinds and not kinds & {"acc", "app", "net"}
+
+
+def test_only_what_computes_for_long_takes_long_turns(
+    start_service: Start, open_bus: Callable[[], ZenohBus]
+) -> None:
+    # Robots and workers wait for all other threads, those of the same process among them.
+    start_service("router")
+    names = ("loop_solver", "optimizer", "place_recognition", "ingest")
+    processes = {name: start_service(name) for name in names}
+    bus = open_bus()
+    turns = dict[str, list[float]]()
+    for name, process in processes.items():
+        wait_alive(bus, name, name)
+        turns[name] = sorted(turn_s(thread) for thread in threads(process.pid))
+    for name, num_long in (("loop_solver", 1), ("optimizer", 1), ("ingest", 0)):
+        short, long = turns[name][: -num_long or None], turns[name][len(turns[name]) - num_long :]
+        assert short == pytest.approx([SHORT_TURNS_S] * len(short))
+        assert long == pytest.approx([LONG_TURNS_S] * num_long)
 
 
 def test_every_line_of_a_json_log_is_an_object(start_example: Start, tmp_path: Path) -> None:

@@ -1,15 +1,20 @@
-"""A process gives way as much as it is told to, with its session where it leads one."""
+"""A process gives way as it is told to, with its session where it leads one; turns are short."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from covinz.config import Config
+from covinz.machine import THIS_MACHINE
+from covinz.niceness import LONG_TURNS_S, SHORT_TURNS_S, take_turns
+from tests.turns import turn_s
 
 CHECKOUT = Path(__file__).parents[3]
 SHOW = """
@@ -44,3 +49,30 @@ def test_robots_are_served_before_loops_are_solved() -> None:
     assert niceness.router == niceness.ingest == 0
     assert niceness.ingest < niceness.place_recognition < niceness.loop_solver
     assert niceness.optimizer < niceness.loop_solver
+
+
+def test_only_threads_that_compute_take_long_turns() -> None:
+    found = dict[str, tuple[float, int]]()
+
+    def look(name: str) -> None:
+        thread = threading.get_native_id()
+        found[name] = (turn_s(thread), os.getpriority(os.PRIO_PROCESS, thread))
+
+    def start() -> None:
+        take_turns(SHORT_TURNS_S)
+        os.nice(2)
+        for name in ("answers", "computes"):
+            thread = THIS_MACHINE.thread(partial(look, name), name, computes=name == "computes")
+            thread.start()
+            thread.join()
+
+    # What it starts from is not this test's own thread, which goes on as it was.
+    before = turn_s(0)
+    starter = threading.Thread(target=start)
+    starter.start()
+    starter.join()
+    niceness = os.getpriority(os.PRIO_PROCESS, 0) + 2
+    assert {nice for _, nice in found.values()} == {niceness}
+    assert found["answers"][0] == pytest.approx(SHORT_TURNS_S)
+    assert found["computes"][0] == pytest.approx(LONG_TURNS_S)
+    assert turn_s(0) == before

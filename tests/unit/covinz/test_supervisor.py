@@ -137,6 +137,17 @@ def test_children_die_with_a_killed_supervisor(tmp_path: Path) -> None:
     wait_for(lambda: not alive(child))
 
 
+def test_children_are_of_our_session_but_not_of_our_group(tmp_path: Path) -> None:
+    # Ctrl-C must not reach them, and who gives way to whom only counts within a session.
+    up = tmp_path / "up"
+    up.mkdir()
+    with Supervisor([spec("a", up), spec("b", up)]):
+        wait_for(lambda: len(started(up)) == 2)
+        children = started(up)
+        assert {os.getsid(pid) for pid in children} == {os.getsid(0)}
+        assert {os.getpgid(pid) for pid in children} == set(children)
+
+
 def test_settings_of_the_environment_are_not_inherited() -> None:
     environment = child_environment(
         {"COVINZ__BUS__ENDPOINT": "tcp/elsewhere:1", "COVINZ_DATA": "/data"}

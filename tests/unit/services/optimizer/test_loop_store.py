@@ -25,6 +25,10 @@ def correction(agent: str, revision: int) -> Correction:
     return Correction(keyframe(agent, 0, 0).id, "0" * 26, revision, np.eye(4), False, 1)
 
 
+def encoded(*corrections: Correction) -> dict[str, bytes]:
+    return {each.keyframe.agent: codec.encode(each) for each in corrections}
+
+
 def crashed_copy(store: LoopStore, folder: Path) -> Path:
     """What another process finds when this one dies now: file and WAL, without a checkpoint."""
     source = folder / "optimizer.sqlite"
@@ -38,7 +42,7 @@ def test_what_was_stored_survives_a_crash_bit_by_bit(tmp_path: Path) -> None:
     store = LoopStore(tmp_path / "optimizer.sqlite")
     loops = payloads(20)
     assert store.add(loops) == [True] * 20
-    store.publish(3, [correction("a", 3)])
+    store.publish(3, encoded(correction("a", 3)))
     again = LoopStore(crashed_copy(store, tmp_path))
     assert [codec.encode(loop) for loop in again.loops()] == [p for _, p in sorted(loops)]
     assert again.revision == 3
@@ -91,7 +95,7 @@ def test_another_log_forgets_all_but_the_revision(tmp_path: Path) -> None:
     assert store.log_id == ""
     store.begin_log("A")
     store.add(payloads(2))
-    store.publish(8, [correction("a", 8)])
+    store.publish(8, encoded(correction("a", 8)))
     store.begin_log("B")
     assert store.loops() == []
     assert store.corrections() == []
@@ -101,8 +105,8 @@ def test_another_log_forgets_all_but_the_revision(tmp_path: Path) -> None:
 
 def test_the_last_correction_of_each_agent_is_kept(tmp_path: Path) -> None:
     store = LoopStore(tmp_path / "optimizer.sqlite")
-    store.publish(1, [correction("a", 1), correction("b", 1)])
-    store.publish(2, [correction("b", 2)])
+    store.publish(1, encoded(correction("a", 1), correction("b", 1)))
+    store.publish(2, encoded(correction("b", 2)))
     assert [(c.keyframe.agent, c.map_revision) for c in store.corrections()] == [("a", 1), ("b", 2)]
     store.close()
 

@@ -206,6 +206,32 @@ def test_a_loop_counts_once(bench: Bench) -> None:
     assert bench.status().counters["loops"] == 1
 
 
+def test_a_loop_that_is_durable_needs_no_disk_when_it_comes_again(bench: Bench) -> None:
+    bench.begin()
+    bench.read(PAIR)
+    unsaid = closure(keyframe("a", 7, 0).id, keyframe("b", 8, 0).id)
+    assert bench.bring(BRIDGE) == Stored()
+    bench.set_writable(False)
+    assert bench.bring(BRIDGE) == Duplicate()
+    assert isinstance(bench.bring(unsaid), RetryAfter)
+    assert isinstance(bench.bring(unsaid), RetryAfter)
+    bench.set_writable(True)
+    assert bench.bring(unsaid) == Stored()
+    # Of another log it may be new again.
+    bench.begin(OTHER_LOG)
+    assert bench.bring(BRIDGE) == Stored()
+
+
+def test_only_so_many_loops_are_remembered(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.optimizer.service.REMEMBERED_LOOPS", 2)
+    bench.begin()
+    loops = [closure(keyframe("a", i, 0).id, keyframe("b", i, 0).id) for i in range(4)]
+    for loop in loops:
+        assert bench.bring(loop) == Stored()
+    bench.set_writable(False)
+    assert [type(bench.bring(loop)) for loop in loops] == [RetryAfter] * 2 + [Duplicate] * 2
+
+
 def test_bad_loops_are_rejected_and_change_nothing(bench: Bench) -> None:
     bench.begin()
     bench.read(PAIR)
