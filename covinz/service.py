@@ -45,13 +45,10 @@ logger = logging.getLogger(__name__)
 # [s; measured with benchmarks/load.py: two solvers do 9 % more jobs]
 SWITCH_INTERVAL_S = 0.0005
 # What a message passes through on its way in is the work of one thread of Zenoh's: waking another
-# one costs more than the work. What goes out keeps a thread of its own, since one that waits until
-# a full queue has room must not be the one that empties it. A process has one link, to its router;
-# the router has many, and its one thread can do over a thousand keyframes or jobs a second.
-# [measured: decision 0033; source: zenoh-runtime, `ZENOH_RUNTIME`]
-ZENOH_THREADS = (
-    "(rx: (worker_threads: 1), acc: (handover: rx), net: (handover: rx), app: (handover: rx))"
-)
+# one costs more than the work. What goes out keeps a thread of its own. Not so in the router: there
+# the thread that reads waits where a receiver's queue is full, and must not be the one that listens
+# for sockets that have room again. [measured: decision 0033; source: `ZENOH_RUNTIME`]
+ZENOH_THREADS = "(rx: (worker_threads: 1), net: (handover: rx), app: (handover: rx))"
 
 # Questions that a process still waits for so long after it was told to stop are ended. [s]
 STOP_GRACE_S = 3.0
@@ -116,7 +113,8 @@ def serve(name: str, run: Callable[[Context], None]) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
     arguments = _arguments(name)
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    os.environ.setdefault("ZENOH_RUNTIME", ZENOH_THREADS)
+    if name != "router":
+        os.environ.setdefault("ZENOH_RUNTIME", ZENOH_THREADS)
     set_up_logging(name, instance_name(arguments.id), form=arguments.log_format)
     try:
         config = configuration.load(arguments.config)
