@@ -6,12 +6,15 @@
   until one comes that was computed with the keyframe.
 - `dispatch`: eight worker processes against one, with a wait of 50 ms in place of solving, which
   measures the dispatcher beyond the number of cores; the jobs are there before.
-- `solving`: two workers against one with real solving, from the first upload to the last outcome.
+- `solving`: two workers against one with real solving, from the first upload to the last outcome;
+  twelve robots play 40 keyframes each at the rate of their recordings, which is more than both
+  workers can do from the first seconds on.
+- `solving_at_once`: the same, but all robots send everything as fast as it is acknowledged.
 
 The robots play recorded keyframes under other names (benchmarks/load.yaml). `others_cores` is what
 programs that have nothing to do with it used of the processors meanwhile.
 
-    python -m benchmarks.load [--parts uploads dispatch solving] [--seconds S] [--json FILE]
+    python -m benchmarks.load [--parts PART ...] [--seconds S] [--json FILE]
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ from covinz.scenario import load_scenario
 
 _REPOSITORY = Path(__file__).resolve().parents[1]
 _DATA = Path(os.environ.get("COVINZ_DATA", _REPOSITORY.parent / "shared" / "data"))
-PARTS = ("uploads", "dispatch", "solving")
+PARTS = ("uploads", "dispatch", "solving", "solving_at_once")
 
 
 def measure(part: str, seconds: float, data: Path) -> dict[str, Any]:
@@ -48,8 +51,11 @@ def measure(part: str, seconds: float, data: Path) -> dict[str, Any]:
             made = load_uploads.measure(load_uploads.Fleet(seconds=seconds), recordings, folder)
             num_bytes = sum(fleet.num_bytes.values())
             return {"keyframe_bytes": round(num_bytes / len(fleet.keyframes)), **made}
-        of = {"dispatch": load_scaling.dispatch, "solving": load_scaling.solving}
-        return of[part](recordings, folder)
+        if part == "dispatch":
+            return load_scaling.dispatch(recordings, folder)
+        at_once = part == "solving_at_once"
+        rate_hz = load_scaling.AT_ONCE_HZ if at_once else load_scaling.AS_RECORDED_HZ
+        return load_scaling.solving(recordings, folder, rate_hz)
 
 
 def report(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -58,8 +64,9 @@ def report(parts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     headline = {name: parts["uploads"][name] for name in names if "uploads" in parts}
     if "dispatch" in parts:
         headline["dispatch_scaling_1_to_8"] = parts["dispatch"]["scaling"]
-    if "solving" in parts:
-        headline["solving_scaling_1_to_2"] = parts["solving"]["scaling"]
+    for part in ("solving", "solving_at_once"):
+        if part in parts:
+            headline[f"{part}_scaling_1_to_2"] = parts[part]["scaling"]
     return {
         "benchmark": "load",
         "machine": platform.processor() or platform.machine(),

@@ -13,8 +13,9 @@ from benchmarks.load_server import Server, running_server
 from benchmarks.load_uploads import Fleet, play
 from benchmarks.load_worker import WAIT_S
 
-# As fast as they are acknowledged.
-_AT_ONCE_HZ = 1e6
+# Keyframes of each robot a second: as recorded, and as fast as they are acknowledged.
+AS_RECORDED_HZ = 4.0
+AT_ONCE_HZ = 1e6
 # Robots are up and connected within this time, and begin then. [s]
 _READY_S = 3.0
 
@@ -26,7 +27,7 @@ def dispatch(recordings: Path, folder: Path, counts: Sequence[int] = (1, 8)) -> 
     """
     log = folder / "log"
     with running_server(log, workers=0) as server:
-        upload(server, recordings, robots=12, each=60, out=folder / "uploads.json")
+        upload(server, recordings, AT_ONCE_HZ, robots=12, each=60, out=folder / "uploads.json")
         server.wait_looked_up()
         jobs = server.status("place_recognition").pending
     rates = {}
@@ -46,11 +47,18 @@ def dispatch(recordings: Path, folder: Path, counts: Sequence[int] = (1, 8)) -> 
 
 
 def solving(
-    recordings: Path, folder: Path, counts: Sequence[int] = (1, 2), rounds: int = 5
+    recordings: Path, folder: Path, rate_hz: float, counts: Sequence[int] = (1, 2), rounds: int = 5
 ) -> dict[str, Any]:
     """Jobs a second from the first upload to the last outcome, all processes at work.
 
     In turn, so that what else the machine does meets all of them; medians.
+
+    Args:
+        recordings: What robots play.
+        folder: For the servers' data.
+        rate_hz: Keyframes of each robot a second.
+        counts: Workers.
+        rounds: Measurements with each count.
     """
     rates: dict[int, list[float]] = {count: [] for count in counts}
     jobs = []
@@ -58,12 +66,13 @@ def solving(
         for count in counts:
             with running_server(folder / f"{number}-{count}", workers=count) as server:
                 out = folder / "uploads.json"
-                began_s = upload(server, recordings, robots=12, each=40, out=out)
+                began_s = upload(server, recordings, rate_hz, robots=12, each=40, out=out)
                 server.wait_looked_up(jobs_done=True)
                 jobs.append(server.jobs_done())
                 rates[count].append(jobs[-1] / (time.monotonic() - began_s))
     first, last = (statistics.median(rates[count]) for count in (counts[0], counts[-1]))
     return {
+        "rate_hz": rate_hz if rate_hz < AT_ONCE_HZ else None,
         "jobs": round(statistics.median(jobs)),
         "rounds": rounds,
         "jobs_per_s": {str(count): round(statistics.median(rates[count]), 2) for count in counts},
@@ -71,13 +80,15 @@ def solving(
     }
 
 
-def upload(server: Server, recordings: Path, robots: int, each: int, out: Path) -> float:
-    """Let robots send all they have, as fast as the server takes it.
+def upload(
+    server: Server, recordings: Path, rate_hz: float, robots: int, each: int, out: Path
+) -> float:
+    """Let robots send all they have, at this rate or as fast as the server takes it.
 
     Returns:
         When they began, of the monotonic clock [s].
     """
-    fleet = Fleet(robots, _AT_ONCE_HZ, each / _AT_ONCE_HZ, linger_s=0.0)
+    fleet = Fleet(robots, rate_hz, each / rate_hz, linger_s=0.0)
     start_s = time.monotonic() + _READY_S
     player = play(server, recordings, (0, robots), start_s, fleet, out)
     if player.wait():

@@ -15,7 +15,11 @@ def load_section(report: Mapping[str, Any]) -> str:
     text = "\n## Load\n\n`benchmarks/load.py`: recorded keyframes under other names.\n"
     if "uploads" in report:
         text += _uploads(report["uploads"])
-    for part, say in (("dispatch", _dispatch), ("solving", _solving)):
+    for part, say in (
+        ("dispatch", _dispatch),
+        ("solving", _solving),
+        ("solving_at_once", _solving),
+    ):
         if part in report:
             text += say(report[part])
     return text
@@ -59,10 +63,12 @@ def _dispatch(made: Mapping[str, Any]) -> str:
 
 
 def _solving(made: Mapping[str, Any]) -> str:
+    rate_hz = made["rate_hz"]
+    how = f"{rate_hz:g} keyframes/s each" if rate_hz else "as fast as they are acknowledged"
     return (
-        "\nReal solving, all processes on two cores, from the first upload to the last of"
-        f" {made['jobs']} outcomes, medians of {made['rounds']} rounds: {_rates(made)}"
-        f" (x {made['scaling']:.2f}).\n"
+        f"\nReal solving, all processes on two cores, robots that send {how}, from the first upload"
+        f" to the last of {made['jobs']} outcomes, medians of {made['rounds']} rounds:"
+        f" {_rates(made)} (x {made['scaling']:.2f}).\n"
     )
 
 

@@ -75,6 +75,9 @@ def test_parts_make_one_report() -> None:
     made = report({"uploads": uploads, "dispatch": {"scaling": 7.5}})
     assert (made["ack_p99_ms"], made["dispatch_scaling_1_to_8"]) == (500.0, 7.5)
     assert "solving_scaling_1_to_2" not in made
+    made = report({"solving": {"scaling": 1.75}, "solving_at_once": {"scaling": 1.25}})
+    assert made["solving_scaling_1_to_2"] == 1.75
+    assert made["solving_at_once_scaling_1_to_2"] == 1.25
 
 
 def test_fuzzing_runs_add_up() -> None:
