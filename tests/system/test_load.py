@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks import load_recordings
 from benchmarks.fleet import Fleet as Sent
-from benchmarks.load_scaling import upload
+from benchmarks.load_scaling import AT_ONCE_HZ, upload
 from benchmarks.load_server import running_server
 from benchmarks.load_uploads import Fleet, measure
 from covinz.types import Features, FeatureType, KeyframeId
@@ -52,7 +52,7 @@ def test_robots_are_served(recordings: Path, tmp_path: Path) -> None:
 
 def test_workers_that_wait_take_part(recordings: Path, tmp_path: Path) -> None:
     with running_server(tmp_path / "run", workers=0, waiting=1) as server:
-        upload(server, recordings, robots=2, each=30, out=tmp_path / "out.json")
+        upload(server, recordings, AT_ONCE_HZ, robots=2, each=30, out=tmp_path / "out.json")
         server.wait_looked_up(jobs_done=True)
         counters = server.status("place_recognition").counters
         assert counters["rejected.waited"] == server.jobs_done() > 0
