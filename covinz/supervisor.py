@@ -228,7 +228,7 @@ class Supervisor:
                     # Ctrl-C reaches this command only; it then asks its children in order. Not a
                     # session: who gives way to whom would not count between them.
                     process_group=0,
-                    preexec_fn=die_with_parent,
+                    preexec_fn=_prepare_child,
                 )
                 self._children[spec.name] = child
                 self._starts[spec.name] = self._starts.get(spec.name, 0) + 1
@@ -274,6 +274,12 @@ class Supervisor:
             partial.replace(self._pid_file)
         except OSError as error:  # the children matter, not what is written of them
             log.error("cannot write %s: %s", self._pid_file, error)
+
+
+def _prepare_child() -> None:
+    # In the background of our terminal, where ``stty tostop`` would stop it for what it says.
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    die_with_parent()
 
 
 def die_with_parent() -> None:

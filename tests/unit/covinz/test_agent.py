@@ -97,6 +97,16 @@ class ScriptedIngest:
             query.reply(codec.encode(answer))
 
 
+def wait_for_pause(agent: Agent) -> None:
+    """Until the agent has read that it is to wait."""
+    tick = threading.Event()
+    for _ in range(int(WAIT_S / 0.005)):
+        if agent._uploader.put_off is not None:
+            return
+        tick.wait(0.005)
+    pytest.fail("the server's answer never arrived")
+
+
 @pytest.fixture
 def hub() -> Hub:
     return Hub()
@@ -191,11 +201,7 @@ def test_a_pause_that_the_server_asked_for_outlives_a_success(
         ingest.wait_for_uploads(1)
         agent.send(content(1))
         ingest.wait_for_uploads(2)
-        tick = threading.Event()
-        for _ in range(int(WAIT_S / 0.005)):
-            if agent._uploader.put_off is not None:  # the answer has arrived
-                break
-            tick.wait(0.005)
+        wait_for_pause(agent)
         ingest.waiting[0].reply(codec.encode(Stored()))
         agent.send(content(2))
         assert not agent.wait_delivered(0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import shutil
 import signal
 import sys
@@ -146,6 +147,30 @@ def test_children_are_of_our_session_but_not_of_our_group(tmp_path: Path) -> Non
         children = started(up)
         assert {os.getsid(pid) for pid in children} == {os.getsid(0)}
         assert {os.getpgid(pid) for pid in children} == set(children)
+
+
+def test_a_terminal_that_stops_background_writers_does_not_stop_children(tmp_path: Path) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    script = (
+        "import signal, termios\n"
+        "from covinz.supervisor import ProcessSpec, Supervisor\n"
+        "modes = termios.tcgetattr(0)\n"
+        "modes[3] |= termios.TOSTOP\n"
+        "termios.tcsetattr(0, termios.TCSANOW, modes)\n"
+        f"argv = {spec('a', up, before='print(1, flush=True)').argv!r}\n"
+        "Supervisor([ProcessSpec('a', argv)]).start()\n"
+        "signal.pause()\n"
+    )
+    parent, terminal = pty.fork()
+    if parent == 0:
+        os.execv(sys.executable, [sys.executable, "-c", script])
+    try:
+        wait_for(lambda: len(started(up)) == 1)  # it goes on after it has written
+    finally:
+        os.kill(parent, signal.SIGKILL)
+        os.waitpid(parent, 0)
+        os.close(terminal)
 
 
 def test_settings_of_the_environment_are_not_inherited() -> None:
