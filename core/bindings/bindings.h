@@ -10,5 +10,6 @@ void BindLoopGeometry(nanobind::module_& m);
 void BindMatching(nanobind::module_& m);  // after BindLoopGeometry, whose MatchingOptions it takes
 void BindPlaceRecognition(nanobind::module_& m);
 void BindPoseGraph(nanobind::module_& m);
+void BindRigNeighbours(nanobind::module_& m);  // after BindLoopGeometry: InvalidCamera
 
 }  // namespace covinz

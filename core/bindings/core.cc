@@ -12,4 +12,5 @@ NB_MODULE(_core, m) {
   covinz::BindFastLoop(m);
   covinz::BindPlaceRecognition(m);
   covinz::BindPoseGraph(m);
+  covinz::BindRigNeighbours(m);
 }

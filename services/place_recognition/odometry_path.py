@@ -36,9 +36,6 @@ class OdometryPath:
         self._steps: list[MotionStep | None] = []
         self._twists: list[Array | None] = []
 
-    def __len__(self) -> int:
-        return len(self._seqs)
-
     def insert(self, kf: Keyframe) -> None:
         """Add a keyframe; raises ValueError when it is there already."""
         at = bisect_left(self._seqs, kf.id.seq)
@@ -56,6 +53,14 @@ class OdometryPath:
     def num_after(self, seq: int) -> int:
         """How many logged keyframes follow on one."""
         return len(self._seqs) - bisect_right(self._seqs, seq)
+
+    def state(self, last: int) -> tuple[int, ...]:
+        """Says what motions and twists up to a logged keyframe are made of: equal, equal results.
+
+        A path only ever grows, so the number of keyframes up to that one says which they are.
+        """
+        count = bisect_right(self._seqs, last)
+        return (count, *self._seqs[count : count + 1])
 
     def covariance(self, first: int, last: int) -> Array:
         """(6, 6) covariance of the motion between two logged keyframes, in the later body frame.

@@ -18,7 +18,7 @@ import numpy as np
 
 from covinz.config import LoopSolverConfig, RigConfig
 from covinz.types import Camera, KeyframeId, LoopJob, RigMember
-from services.place_recognition.neighbours import choose, window
+from services.place_recognition.neighbours import choose, options
 from services.place_recognition.track import Track
 
 Members = tuple[RigMember, ...]
@@ -64,7 +64,7 @@ class RigRule:
         self, rigs: RigConfig, solver: LoopSolverConfig, camera: Callable[[str], Camera | None]
     ) -> None:
         self._config = rigs
-        self._fast = solver.fast
+        self._options = options(rigs, solver.fast)
         self._camera = camera
         by_profile = "index" if solver.profile == "paper" else "geometry"
         self._by_geometry = (rigs.neighbours or by_profile) == "geometry"
@@ -90,8 +90,8 @@ class RigRule:
         # Whatever size is asked for, a session that has the paper's number can close loops.
         if rig is None or len(rig.members) < min(size, 3):
             return None
-        # A path only ever grows, so its length says which it is.
-        which = (track, len(track.path), *(member.keyframe for member in rig.members))
+        names = [member.keyframe for member in rig.members]
+        which = (track, track.path.state(max(name.seq for name in names)), *names)
         return self._complete.get((of, size), which, partial(_with_odometry, track, rig))
 
     def _best(self, track: Track, of: KeyframeId, other: KeyframeId, size: int) -> Rig | None:
@@ -113,12 +113,8 @@ class RigRule:
             return None
         T_odom_body = np.stack([member.T_odom_body for member in around])
         reference = [member.keyframe for member in around].index(of)
-        part = window(T_odom_body, reference, self._config)
-        around, reference = around[part], reference - part.start
         try:
-            choice = choose(
-                T_odom_body[part], known[part], reference, size, self._config, self._fast
-            )
+            choice = choose(T_odom_body, known, reference, size, self._options)
         except ValueError:
             return None
         return Rig(tuple(around[row] for row in choice.rows), choice.information)

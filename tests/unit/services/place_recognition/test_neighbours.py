@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from covinz import frames
 from covinz.config import FastLoopConfig, OdometryNoise, RigConfig
 from covinz.types import Array, Camera
-from services.place_recognition.neighbours import choose, window
+from services.place_recognition.neighbours import choose, options
 
-RIGS, FAST = RigConfig(), FastLoopConfig()
+FAST = FastLoopConfig()
+DEFAULT = options(RigConfig(), FAST)
 # The body's x axis looks ahead, z is up.
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 CAMERA = Camera(
@@ -40,7 +41,7 @@ def straight(count: int, step: list[float]) -> Array:
 def others(T_odom_body: Array, reference: int, size: int, **rigs: Any) -> list[int]:
     """Rows besides the reference, as steps from it."""
     cameras = [CAMERA] * len(T_odom_body)
-    choice = choose(T_odom_body, cameras, reference, size, RigConfig(**rigs), FAST)
+    choice = choose(T_odom_body, cameras, reference, size, options(RigConfig(**rigs), FAST))
     assert choice.rows[0] == reference
     assert len(set(choice.rows)) == len(choice.rows) == min(size, len(T_odom_body))
     assert list(choice.rows[1:]) == sorted(choice.rows[1:])
@@ -49,7 +50,7 @@ def others(T_odom_body: Array, reference: int, size: int, **rigs: Any) -> list[i
 
 def information(T_odom_body: Array, reference: int, size: int) -> float:
     cameras = [CAMERA] * len(T_odom_body)
-    return choose(T_odom_body, cameras, reference, size, RIGS, FAST).information
+    return choose(T_odom_body, cameras, reference, size, DEFAULT).information
 
 
 def test_a_baseline_is_longer_than_a_step_and_shorter_than_the_view() -> None:
@@ -70,9 +71,9 @@ def test_nearer_scenes_and_worse_odometry_make_shorter_rigs() -> None:
     near, far = (others(T, 40, 3, depth_m=depth_m)[1] for depth_m in (1.0, 4.0))
     assert near < far
     noise = OdometryNoise(rotation_per_sqrt_m=0.1, rotation_per_sqrt_rad=0.2)
-    fast = FastLoopConfig(odometry=noise)
-    worse = choose(T, [CAMERA] * 81, 40, 3, RIGS, fast)
-    best = choose(T, [CAMERA] * 81, 40, 3, RIGS, FAST)
+    drifting = options(RigConfig(), FastLoopConfig(odometry=noise))
+    worse = choose(T, [CAMERA] * 81, 40, 3, drifting)
+    best = choose(T, [CAMERA] * 81, 40, 3, DEFAULT)
     assert max(worse.rows) <= max(best.rows)
     assert worse.information < best.information
 
@@ -110,18 +111,18 @@ def test_a_turn_on_the_spot_still_gives_a_rig_but_hardly_a_scale() -> None:
     T = poses([([0.0, 0.0, 0.0], [0.0, 0.0, 0.15])] * 20)
     found = others(T, 10, 3)
     assert all(abs(step) <= 3 for step in found)
-    assert information(T, 10, 3) < RIGS.min_information
+    assert information(T, 10, 3) < RigConfig().min_information
     # Rolling about the optical axis leaves the view where it was, up to the corners.
     roll = poses([([0.02, 0.0, 0.0], [0.15, 0.0, 0.0])] * 20)
-    assert information(roll, 10, 3) > RIGS.min_information
+    assert information(roll, 10, 3) > RigConfig().min_information
 
 
 def test_the_lever_arm_of_a_camera_is_a_baseline() -> None:
     T = poses([([0.0, 0.0, 0.0], [0.0, 0.0, 0.1])] * 20)
     arm = dataclasses.replace(CAMERA, T_body_cam=frames.transform(AHEAD, [0.5, 0.0, 0.0]))
     cameras = [arm] * len(T)
-    choice = choose(T, cameras, 10, 3, RIGS, FAST)
-    assert choice.information > RIGS.min_information > information(T, 10, 3)
+    choice = choose(T, cameras, 10, 3, DEFAULT)
+    assert choice.information > RigConfig().min_information > information(T, 10, 3)
 
 
 def test_information_is_that_of_the_scale() -> None:
@@ -129,8 +130,8 @@ def test_information_is_that_of_the_scale() -> None:
     noise = OdometryNoise(rotation_per_sqrt_m=0.0, min_rotation=1e-9)
     T = straight(2, [0.0, 0.2, 0.0])
     # So far away that everything looks the same from both.
-    distant = RigConfig(depth_m=1e4)
-    choice = choose(T, [CAMERA] * 2, 0, 2, distant, FastLoopConfig(odometry=noise))
+    distant = options(RigConfig(depth_m=1e4), FastLoopConfig(odometry=noise))
+    choice = choose(T, [CAMERA] * 2, 0, 2, distant)
     variance = noise.translation_per_sqrt_m**2 * 0.2 + noise.min_translation**2
     assert choice.information == pytest.approx(0.2**2 / variance, rel=1e-3)
     assert information(T, 0, 2) < choice.information
@@ -152,8 +153,8 @@ def test_the_odometry_s_frame_does_not_matter(T_odom_body: Array, data: st.DataO
     size = data.draw(st.integers(2, 5))
     cameras = [CAMERA] * len(T_odom_body)
     T = frames.transform(frames.so3_exp([0.4, -1.0, 0.3]), [100.0, -40.0, 20.0])
-    one = choose(T_odom_body, cameras, reference, size, RIGS, FAST)
-    moved = choose(T @ T_odom_body, cameras, reference, size, RIGS, FAST)
+    one = choose(T_odom_body, cameras, reference, size, DEFAULT)
+    moved = choose(T @ T_odom_body, cameras, reference, size, DEFAULT)
     assert one.rows == moved.rows
     assert one.information == pytest.approx(moved.information, rel=1e-3, abs=1e-3)
 
@@ -167,23 +168,24 @@ def test_no_other_rig_of_that_size_tells_more(steps_m: list[float], data: st.Dat
     rest = [row for row in range(len(T)) if row != reference]
     drawn = data.draw(st.permutations(rest))[: size - 1]
     rows = sorted([reference, *drawn])
-    anywhere = RigConfig(min_overlap=0.0)
-    best = choose(T, [CAMERA] * len(T), reference, size, anywhere, FAST)
-    other = choose(T[rows], [CAMERA] * len(rows), rows.index(reference), size, anywhere, FAST)
+    anywhere = options(RigConfig(min_overlap=0.0), FAST)
+    best = choose(T, [CAMERA] * len(T), reference, size, anywhere)
+    other = choose(T[rows], [CAMERA] * len(rows), rows.index(reference), size, anywhere)
     assert other.information <= best.information + 1e-3
 
 
-def test_the_window_ends_with_path_and_count_but_keeps_the_next_few() -> None:
+def test_what_is_looked_at_ends_with_the_path_but_keeps_the_next_few() -> None:
+    # Of a distant scene the longest baseline is best, however far it is.
+    distant = {"depth_m": 1e4}
     T = straight(101, [0.0, 0.05, 0.0])
-    assert window(T, 50, RigConfig(max_path_m=1.01)) == slice(30, 71)
-    assert window(T, 50, RigConfig(max_steps=10)) == slice(40, 61)
-    assert window(T, 2, RigConfig(max_steps=10)) == slice(0, 13)
-    assert window(T[:51], 50, RigConfig(max_path_m=1.01)) == slice(30, 51)
-    assert window(straight(101, [0.0, 5.0, 0.0]), 50, RIGS) == slice(46, 55)
-    assert window(T[:1], 0, RIGS) == slice(0, 1)
+    assert others(T, 50, 3, max_path_m=1.01, **distant) == [-20, 20]
+    assert others(T[:51], 50, 2, max_path_m=1.01, **distant) == [-20]
+    assert others(T, 5, 3, max_path_m=1.01, **distant) == [-5, 20]
+    assert others(T, 50, 3, max_path_m=0.0, **distant) == [-4, 4]
+    assert others(T[:1], 0, 3) == []
 
 
 def test_a_calibration_that_is_none_is_an_error() -> None:
     broken = dataclasses.replace(CAMERA, params=CAMERA.params[:3])
     with pytest.raises(ValueError, match="8 parameters"):
-        choose(straight(3, [0.0, 0.1, 0.0]), [broken] * 3, 1, 3, RIGS, FAST)
+        choose(straight(3, [0.0, 0.1, 0.0]), [broken] * 3, 1, 3, DEFAULT)

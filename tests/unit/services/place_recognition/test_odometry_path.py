@@ -50,6 +50,28 @@ def test_what_was_asked_before_leaves_no_trace(arrival: list[int]) -> None:
             np.testing.assert_array_equal(asked.covariance(*ends), fresh.covariance(*ends))
 
 
+@settings(max_examples=20)
+@given(st.permutations(range(8)))
+def test_what_has_the_same_state_is_the_same(arrival: list[int]) -> None:
+    path = OdometryPath(NOISE)
+    found: dict[object, list[bytes]] = {}
+    for count, seq in enumerate(arrival, start=1):
+        path.insert(keyframe(seq))
+        known = sorted(arrival[:count])
+        for at, last in enumerate(known):
+            twists = [path.twists(one) for one in known[: at + 1]]
+            said = [b"" if each is None else each.tobytes() for each in twists]
+            if at:
+                said.append(path.covariance(known[0], last).tobytes())
+            assert found.setdefault((last, path.state(last)), said) == said
+
+
+def test_keyframes_that_follow_later_change_no_state() -> None:
+    assert path_of([0, 1, 2]).state(1) == path_of([0, 1, 2, 3, 4]).state(1)
+    assert path_of([0, 1, 2, 3]).state(1) != path_of([0, 1, 3]).state(1)
+    assert path_of([0, 1]).state(1) != path_of([0, 1, 2]).state(1)
+
+
 def test_every_keyframe_between_counts() -> None:
     T = np.stack([keyframe(seq).T_odom_body for seq in range(2, 6)])
     np.testing.assert_array_equal(
