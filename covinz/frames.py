@@ -50,7 +50,8 @@ def rotation_from_quaternion(q_xyzw: ArrayLike) -> Array:
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(norm > 1e-9):
         raise ValueError("a quaternion of length zero or NaN has no rotation")
-    x, y, z, w = np.moveaxis(q / norm, -1, 0)
+    unit = q / norm
+    x, y, z, w = unit[..., 0], unit[..., 1], unit[..., 2], unit[..., 3]
     R = np.empty((*q.shape[:-1], 3, 3))
     R[..., 0, 0] = 1 - 2 * (y * y + z * z)
     R[..., 0, 1] = 2 * (x * y - z * w)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack, closing
@@ -17,6 +18,9 @@ logger = logging.getLogger(__name__)
 
 # Without news the head is asked for so often: publications may be lost. [s]
 RECHECK_S = 2.0
+# At the head it is asked for entries so often at most, and gets all that came meanwhile: a page of
+# one costs ingest, router and follower as much as one of many. [s]
+GATHER_S = 0.03
 # Pauses while ingest does not answer grow from ... to ...; its return ends a pause. [s]
 MIN_PAUSE_S = 0.1
 MAX_PAUSE_S = 2.0
@@ -65,8 +69,10 @@ class LogFollower:
         self._log_id = ""
         self._chain = ""
         self._mark: LogMark | None = None
+        self._clock_s = machine.monotonic_s
+        self._asked_s = -math.inf
         self._news = machine.event()
-        self._closing = False
+        self._closed = machine.event()
         self._thread = machine.thread(self._run, "log-follower", daemon=True)
         self._declared = ExitStack()
 
@@ -91,7 +97,7 @@ class LogFollower:
 
     def close(self, timeout_s: float = CLOSE_S) -> None:
         """Deliver nothing more; waits at most `timeout_s` for what is under way."""
-        self._closing = True
+        self._closed.set()
         self._news.set()
         self._declared.close()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
@@ -111,7 +117,7 @@ class LogFollower:
 
     def _run(self) -> None:
         pause_s = MIN_PAUSE_S
-        while not self._closing:
+        while not self._closed.is_set():
             self._news.clear()
             try:
                 at_head = self._step()
@@ -130,9 +136,10 @@ class LogFollower:
             pause_s = MIN_PAUSE_S
             if at_head:
                 self._wait(self._recheck_s)
+                self._closed.wait(max(0.0, self._asked_s + GATHER_S - self._clock_s()))
 
     def _wait(self, timeout_s: float) -> None:
-        if not self._closing:
+        if not self._closed.is_set():
             self._news.wait(timeout_s)
 
     def _step(self) -> bool:
@@ -140,8 +147,9 @@ class LogFollower:
         if self._mark is not None:
             self._ask(LogRange(self._mark.index, self._view, self._mark.log_id, self._mark.chain))
             self._mark = None
+        self._asked_s = self._clock_s()
         page = self._page()
-        if self._closing:
+        if self._closed.is_set():
             return True
         if page.log_id != self._log_id or self._cursor > page.head:
             logger.info("following log %s from its beginning", page.log_id)

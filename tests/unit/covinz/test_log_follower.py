@@ -7,7 +7,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from covinz import codec, keyexprs
+from covinz import codec, keyexprs, log_follower
 from covinz.bus import Closable, Query
 from covinz.log_follower import LogFollower, LogReset
 from covinz.memory_bus import Hub, InMemoryBus
@@ -159,6 +159,36 @@ def test_a_publication_wakes_the_follower(log: Log, follow: Follow) -> None:
     for i in range(20):
         log.grow(1)
         assert consumer.page() == [i]
+
+
+def test_what_comes_soon_after_a_page_comes_with_the_next(
+    log: Log, follow: Follow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_follower, "GATHER_S", 1.0)
+    log.come()
+    consumer = Consumer()
+    follow(consumer)
+    consumer.reset()
+    log.grow(1)
+    consumer.page()
+    for _ in range(3):
+        log.grow(1)
+    assert consumer.page() == [1, 2, 3]
+
+
+def test_closing_does_not_wait_for_more_to_gather(
+    log: Log, follow: Follow, hub: Hub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_follower, "GATHER_S", NEVER_S)
+    log.come()
+    with closing(hub.join()) as bus:
+        consumer = Consumer()
+        follower = LogFollower(bus, LogView.POSE, consumer, NEVER_S)
+        follower.start(0, "")
+        consumer.reset()
+        log.grow(1)  # whoever is at the head gathers what follows
+        follower.close(timeout_s=WAIT_S)
+    assert not any(t.name == "log-follower" and t.is_alive() for t in threading.enumerate())
 
 
 def test_lost_publications_are_made_up_for_by_looking(log: Log, follow: Follow) -> None:
