@@ -344,14 +344,15 @@ class Optimizer:
     # --- optimisation ------------------------------------------------------------------------
 
     def _optimisation_due_s(self) -> float | None:
-        """When to optimise what is stale; None: not before something happens."""
+        """When to see to what is stale; None: not before something happens."""
         if self._running or not self._caught_up:
             return None
+        if self._clock_s() < self._pace.rests_until_s:
+            # With every loop that comes meanwhile it would be another question, and a long one.
+            return self._pace.rests_until_s
         if self._maps.stale(with_keyframes=False):
             return self._pace.rests_until_s
-        if self._maps.stale(with_keyframes=True):
-            return max(self._pace.rests_until_s, self._settled_s)
-        return None
+        return self._settled_s if self._maps.stale(with_keyframes=True) else None
 
     @property
     def _settled_s(self) -> float:

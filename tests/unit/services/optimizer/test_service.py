@@ -364,6 +364,23 @@ def test_loops_that_come_soon_after_an_optimisation_share_the_next_one(bench: Be
     assert not bench.status().dirty
 
 
+def test_what_is_stale_is_not_looked_for_while_resting(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.begin()
+    bench.read([*PAIR, keyframe("a", 0, 1), keyframe("b", 1, 1)])
+    bench.bring(BRIDGE)
+    (job,) = bench.jobs
+    bench.jobs.clear()
+    bench.now_s += 0.05
+    bench.finish(job)
+    asked: list[object] = []
+    monkeypatch.setattr("services.optimizer.maps.segment_groups", lambda *of: asked.append(of))
+    bench.bring(closure(keyframe("a", 0, 1).id, PAIR[1].id))
+    bench.bring(closure(keyframe("b", 1, 1).id, PAIR[0].id))
+    assert bench.optimizer.patience_s() and not asked
+
+
 def test_a_loop_that_cannot_be_optimised_is_left_out(bench: Bench) -> None:
     # Its weight overflows. Admission refuses such a loop; this one is in the file of an earlier
     # version, and within a segment, so that no start makes it fit.
