@@ -6,7 +6,7 @@
   until one comes that was computed with the keyframe.
 - `dispatch`: eight worker processes against one, with a wait of 50 ms in place of solving, which
   measures the dispatcher beyond the number of cores; the jobs are there before.
-- `solving`: two workers against one with real solving, from the first upload to the last outcome;
+- `solving`: two workers against one with real solving, from the first outcome to the last one;
   twelve robots play 40 keyframes each at the rate of their recordings, which is more than both
   workers can do from the first seconds on.
 - `solving_at_once`: the same, but all robots send everything as fast as it is acknowledged.

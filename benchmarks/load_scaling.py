@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import statistics
+import subprocess
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,9 +50,10 @@ def dispatch(recordings: Path, folder: Path, counts: Sequence[int] = (1, 8)) -> 
 def solving(
     recordings: Path, folder: Path, rate_hz: float, counts: Sequence[int] = (1, 2), rounds: int = 3
 ) -> dict[str, Any]:
-    """Jobs a second from the first upload to the last outcome, all processes at work.
+    """Jobs a second from about the first outcome to the last one, all processes at work.
 
-    In turn, so that what else the machine does meets all of them; medians.
+    Before, there is nothing to solve: robots have only begun. In turn, so that what else the
+    machine does meets all of them; medians.
 
     Args:
         recordings: What robots play.
@@ -66,10 +68,13 @@ def solving(
         for count in counts:
             with running_server(folder / f"{number}-{count}", workers=count) as server:
                 out = folder / "uploads.json"
-                began_s = upload(server, recordings, rate_hz, robots=12, each=40, out=out)
+                player = begin_upload(server, recordings, rate_hz, robots=12, each=40, out=out)
+                server.wait(lambda: server.jobs_done() > 0, "the first outcome")
+                before, began_s = server.jobs_done(), time.monotonic()
+                finish(player)
                 server.wait_looked_up(jobs_done=True)
                 jobs.append(server.jobs_done())
-                rates[count].append(jobs[-1] / (time.monotonic() - began_s))
+                rates[count].append((jobs[-1] - before) / (time.monotonic() - began_s))
     first, last = (statistics.median(rates[count]) for count in (counts[0], counts[-1]))
     return {
         "rate_hz": rate_hz if rate_hz < AT_ONCE_HZ else None,
@@ -82,18 +87,24 @@ def solving(
 
 def upload(
     server: Server, recordings: Path, rate_hz: float, robots: int, each: int, out: Path
-) -> float:
-    """Let robots send all they have, at this rate or as fast as the server takes it.
+) -> None:
+    """Let robots send all they have, at this rate or as fast as the server takes it."""
+    finish(begin_upload(server, recordings, rate_hz, robots, each, out))
 
-    Returns:
-        When they began, of the monotonic clock [s].
-    """
+
+def begin_upload(
+    server: Server, recordings: Path, rate_hz: float, robots: int, each: int, out: Path
+) -> subprocess.Popen[bytes]:
+    """Start robots that send all they have; `finish` waits for them."""
     fleet = Fleet(robots, rate_hz, each / rate_hz, linger_s=0.0)
     start_s = time.monotonic() + _READY_S
-    player = play(server, recordings, (0, robots), start_s, fleet, out)
+    return play(server, recordings, (0, robots), start_s, fleet, out)
+
+
+def finish(player: subprocess.Popen[bytes]) -> None:
+    """Wait for robots; RuntimeError where they failed."""
     if player.wait():
         raise RuntimeError(f"robots ended with {player.returncode}")
-    return start_s
 
 
 def _rate(server: Server, seconds: float = 8.0) -> float:
