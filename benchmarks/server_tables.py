@@ -66,7 +66,7 @@ def _solving(made: Mapping[str, Any]) -> str:
     rate_hz = made["rate_hz"]
     how = f"{rate_hz:g} keyframes/s each" if rate_hz else "as fast as they are acknowledged"
     return (
-        f"\nReal solving, all processes on two cores, robots that send {how}, from the first upload"
+        f"\nReal solving, all processes on two cores, robots that send {how}, from the first"
         f" to the last of {made['jobs']} outcomes, medians of {made['rounds']} rounds:"
         f" {_rates(made)} (x {made['scaling']:.2f}).\n"
     )

@@ -23,6 +23,13 @@ STOP_S = 15.0
 StartProcess = Callable[..., subprocess.Popen[str]]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def interruptible() -> None:
+    """What tests start can be interrupted, even if a shell runs them in the background."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.fixture(scope="session")
 def recorded_data() -> Path:
     """Folder of recorded images and trajectories; the test is skipped where there is none."""
