@@ -21,12 +21,15 @@ class Robot:
 
     Attributes:
         sent: Pose of every keyframe that `Agent.send` has returned for and the disk has.
+        forgiven: Those that may be missing: they may have been acknowledged by a log that was lost.
         agent: Of the current run.
     """
 
     def __init__(self, number: int, plan: Plan, config: Config) -> None:
         self.name = f"robot{number}"
         self.sent: dict[KeyframeId, Array] = {}
+        self.forgiven: set[KeyframeId] = set()
+        self._num_logs_lost = 0
         self.agent: Agent | None = None
         self._plan = plan
         self._config = config
@@ -75,8 +78,14 @@ class Robot:
         assert self.agent is not None
         return self._segment, self.agent.correction
 
+    def log_is_lost(self) -> None:
+        """What has been sent, or is being sent, may be gone with the server's disk."""
+        self._num_logs_lost += 1
+        self.forgiven.update(self.sent)
+
     def _send(self, agent: Agent) -> None:
         self._place += 1
+        num_lost_before = self._num_logs_lost
         self._left -= 1
         stamp_ns = EPOCH_NS + self._place * 10**9
         content = world.content(agent.session, self._place, stamp_ns)
@@ -86,6 +95,9 @@ class Robot:
             return  # the disk is full, and the robot knows
         if agent.wait_saved():  # a process that hung may go on before its disk does
             self.sent[name] = content.T_odom_body
+            # It may have been uploaded and lost before this thread went on.
+            if self._num_logs_lost > num_lost_before:
+                self.forgiven.add(name)
 
     def _on_correction(self, correction: Correction) -> None:
         """A correction is for this robot and of its session."""

@@ -18,7 +18,7 @@ from covinz import client, codec, keyexprs
 from covinz.bus import Bus
 from covinz.config import OptimizerConfig
 from covinz.service import Context, serve_on
-from covinz.types import KeyframeId, Lease, LoopJob
+from covinz.types import Lease, LoopJob
 from services.ingest import service as ingest
 from services.loop_solver import service as loop_solver
 from services.optimizer import service as optimizer
@@ -128,8 +128,6 @@ class Simulation:
         self._look_s = last_s + QUERY_TIMEOUT_S + CALM_S
         self._job_of: dict[str, str] = {}
         self._poison = ""
-        # Keyframes that were on a disk which was lost, or may have been.
-        self._forgiven: set[KeyframeId] = set()
         # How often a worker was really lost with a job in hand, or hung for too long.
         self._losses: Counter[str] = Counter()
         self._processes = {
@@ -277,17 +275,20 @@ class Simulation:
             case "cut_off":
                 process.cut_off(lasts_s)
             case "disk_lost":
-                if process.name == "ingest":
-                    self._forgiven.update(name for robot in self._robots for name in robot.sent)
+                self._lose_log(process.name)
                 process.lose_disk(lasts_s)
             case "rolled_back":
-                if process.name == "ingest":
-                    self._forgiven.update(name for robot in self._robots for name in robot.sent)
+                self._lose_log(process.name)
                 process.roll_back(lasts_s)
             case "disk_full":
                 process.fill_disk(lasts_s)
             case "clock_jump":
                 process.set_clock(incident.amount)
+
+    def _lose_log(self, name: str) -> None:
+        if name == "ingest":
+            for robot in self._robots:
+                robot.log_is_lost()
 
     def _restart_router(self, down_s: float) -> None:
         self._note("dies", "router", "")
@@ -338,7 +339,6 @@ class Simulation:
             self._robots,
             self._losses,
             self._poison,
-            self._forgiven,
             self._plan.ends_with_router,
         )
         return "\n".join(found) or None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,7 +86,6 @@ def faults_of(
     robots: Sequence[Robot],
     losses: Mapping[str, int],
     poison: str,
-    forgiven: Collection[KeyframeId],
     has_news: bool,
 ) -> list[str]:
     """Everything that does not hold.
@@ -97,10 +96,9 @@ def faults_of(
         robots: What was sent, and what each robot knows.
         losses: For each job how often a worker was really lost with it in hand.
         poison: The job that kills whoever takes it; may be empty.
-        forgiven: Keyframes that may be missing, for a disk was lost.
         has_news: Every robot had the occasion to ask for its latest correction.
     """
-    found = _log_faults(evidence.full, robots, forgiven)
+    found = _log_faults(evidence.full, robots)
     found += _job_faults(evidence, config, losses, poison)
     loops, allowed = _loops(evidence)
     found += _map_faults(evidence, config, loops, allowed)
@@ -119,9 +117,7 @@ def _entries(bus: Bus, view: LogView) -> list[LogEntry]:
             return entries
 
 
-def _log_faults(
-    log: Sequence[LogEntry], robots: Sequence[Robot], forgiven: Collection[KeyframeId]
-) -> list[str]:
+def _log_faults(log: Sequence[LogEntry], robots: Sequence[Robot]) -> list[str]:
     """Each keyframe that `send` returned for is in the log once, or in a declared gap."""
     found: list[str] = []
     if [entry.log_index for entry in log] != list(range(len(log))):
@@ -136,6 +132,7 @@ def _log_faults(
         for seq in range(gap.first_seq, gap.last_seq + 1)
     }
     sent = {name: pose for robot in robots for name, pose in robot.sent.items()}
+    forgiven = {name for robot in robots for name in robot.forgiven}
     for name in sent:
         if not (name in times or name in dropped or name in forgiven):
             found.append(f"{name} was handed over and is not in the log")
