@@ -6,16 +6,12 @@
 #include <cstdint>
 #include <cstdlib>
 #include <stdexcept>
+#include <string>
 #include <tuple>
-
-#include "covinz/camera.h"
 
 namespace covinz {
 namespace {
 
-// Rays across and down an image.
-constexpr int kAcross = 8;
-constexpr int kDown = 6;
 // What differs by less than this is equal, and then the nearer keyframe is taken: rounding, which
 // changes with the odometry's frame, decides nothing.
 constexpr double kQuantum = 1e-6;
@@ -240,9 +236,13 @@ std::vector<int> BestChain(const Neighbourhood& around, size_t num_others) {
   return best;
 }
 
-// Rows that are not taken, those first that can be matched best with the reference.
-std::vector<int> Rest(const Neighbourhood& around, const std::vector<int>& taken, int reference) {
+// Up to `count` rows that are not taken, those that can be matched best with the reference.
+std::vector<int> Rest(const Neighbourhood& around,
+                      const std::vector<int>& taken,
+                      int reference,
+                      size_t count) {
   std::vector<int> rows;
+  if (count == 0) return rows;
   for (const int step : {-1, 1}) {
     for (const int row : around.Side(step)) {
       const bool is_taken = std::find(taken.begin(), taken.end(), row) != taken.end();
@@ -253,6 +253,7 @@ std::vector<int> Rest(const Neighbourhood& around, const std::vector<int>& taken
     return std::make_tuple(-around.Rank(row), std::abs(row - reference), row);
   };
   std::sort(rows.begin(), rows.end(), [&](int a, int b) { return order(a) < order(b); });
+  if (rows.size() > count) rows.resize(count);
   return rows;
 }
 
@@ -271,50 +272,6 @@ void RigNeighboursOptions::Check() const {
   Require(min_rotation > 0.0 && min_translation > 0.0, "odometry's floors must be positive");
 }
 
-CameraView::Sector::Sector(const Eigen::Vector3d& low_ray,
-                           const Eigen::Vector3d& high_ray,
-                           int axis) {
-  const double low_rad = std::atan2(low_ray[axis], low_ray.z());
-  const double high_rad = std::atan2(high_ray[axis], high_ray.z());
-  low = {std::sin(low_rad), std::cos(low_rad)};
-  high = {std::sin(high_rad), std::cos(high_rad)};
-  reflex = high_rad - low_rad > M_PI;
-}
-
-bool CameraView::Sector::Contains(double across, double ahead) const {
-  // Sines of the angles from the lower and to the higher half plane.
-  const bool beyond_low = across * low.y() - ahead * low.x() >= 0.0;
-  const bool before_high = ahead * high.x() - across * high.y() >= 0.0;
-  return reflex ? beyond_low || before_high : beyond_low && before_high;
-}
-
-CameraView::CameraView(const std::string& model,
-                       const std::vector<double>& params,
-                       int width,
-                       int height,
-                       const Eigen::Isometry3d& T_body_cam)
-    : T_body_cam_(T_body_cam) {
-  const Camera camera(model, params);
-  focal_px_ = 0.5 * (params[0] + params[1]);
-  for (int down = 0; down < kDown; ++down) {
-    for (int across = 0; across < kAcross; ++across) {
-      rays_.push_back(camera.BearingVector(
-          {(across + 0.5) / kAcross * width - 0.5, (down + 0.5) / kDown * height - 0.5}));
-    }
-  }
-  const double x = 0.5 * width - 0.5;
-  const double y = 0.5 * height - 0.5;
-  const double right = width - 1.0;
-  const double bottom = height - 1.0;
-  sectors_ = {Sector(camera.BearingVector({0.0, y}), camera.BearingVector({right, y}), 0),
-              Sector(camera.BearingVector({x, 0.0}), camera.BearingVector({x, bottom}), 1)};
-}
-
-bool CameraView::Sees(const Eigen::Vector3d& point_cam) const {
-  return sectors_[0].Contains(point_cam.x(), point_cam.z()) &&
-         sectors_[1].Contains(point_cam.y(), point_cam.z());
-}
-
 RigChoice ChooseRig(const std::vector<Eigen::Isometry3d>& T_odom_body,
                     const std::vector<const CameraView*>& views,
                     int reference,
@@ -328,9 +285,8 @@ RigChoice ChooseRig(const std::vector<Eigen::Isometry3d>& T_odom_body,
   const Neighbourhood around(T_odom_body, views, reference, options);
   const size_t num_others = std::min(static_cast<size_t>(size), views.size()) - 1;
   std::vector<int> in_time = BestChain(around, num_others);
-  for (const int row : Rest(around, in_time, reference)) {
-    if (in_time.size() < num_others) in_time.push_back(row);
-  }
+  const std::vector<int> rest = Rest(around, in_time, reference, num_others - in_time.size());
+  in_time.insert(in_time.end(), rest.begin(), rest.end());
   RigChoice choice{{reference}, 0.0};
   std::sort(in_time.begin(), in_time.end());
   choice.rows.insert(choice.rows.end(), in_time.begin(), in_time.end());

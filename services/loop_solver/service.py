@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from covinz.config import LoopSolverConfig
-from covinz.heap import keep_freed_memory
 from covinz.keyframes import KeyframeStore, RemoteKeyframeStore
 from covinz.service import Context, StatusRequest
 from covinz.types import LoopJob, Outcome, Status
@@ -41,7 +40,6 @@ def run(context: Context, new_solver: NewSolver = LoopSolver) -> None:
         context: What the process is given.
         new_solver: Makes the solver.
     """
-    keep_freed_memory()  # a job takes and frees megabytes
     config = context.config
     store = RemoteKeyframeStore(context.bus, config.worker.cache_keyframes)
     solver = new_solver(config.loop_solver, store)

@@ -32,12 +32,15 @@ class Choice:
     information: float
 
 
-def options(rigs: RigConfig, fast: FastLoopConfig) -> Options:
+def core_options(rigs: RigConfig, fast: FastLoopConfig) -> Options:
     """The core's options as configured.
 
     Args:
         rigs: What a rig should be like.
         fast: Odometry's accuracy, and the inlier threshold of the hypotheses.
+
+    Raises:
+        ValueError: If the core does not accept them.
     """
     made = Options()
     for name in ("depth_m", "half_view_change", "min_overlap", "max_path_m"):
@@ -46,6 +49,7 @@ def options(rigs: RigConfig, fast: FastLoopConfig) -> Options:
     made.max_error_px = fast.max_error_px
     for name, value in fast.odometry:
         setattr(made, name, value)
+    made.check()
     return made
 
 
@@ -63,7 +67,7 @@ def choose(
         cameras: Their N calibrations.
         reference: Row of the keyframe that the rig is for.
         size: Keyframes in the rig; all N where there are fewer.
-        options: See `options`.
+        options: See `core_options`.
 
     Raises:
         ValueError: If a calibration is not what the core accepts.

@@ -55,9 +55,10 @@ class OdometryPath:
         return len(self._seqs) - bisect_right(self._seqs, seq)
 
     def state(self, last: int) -> tuple[int, ...]:
-        """Says what motions and twists up to a logged keyframe are made of: equal, equal results.
+        """As long as it stays equal, so do all motions and twists up to a logged keyframe.
 
-        A path only ever grows, so the number of keyframes up to that one says which they are.
+        A path only ever grows, so the number of keyframes up to that one says which they are; the
+        one that follows gives it its second twist.
         """
         count = bisect_right(self._seqs, last)
         return (count, *self._seqs[count : count + 1])

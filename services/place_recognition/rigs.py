@@ -18,7 +18,7 @@ import numpy as np
 
 from covinz.config import LoopSolverConfig, RigConfig
 from covinz.types import Camera, KeyframeId, LoopJob, RigMember
-from services.place_recognition.neighbours import choose, options
+from services.place_recognition.neighbours import choose, core_options
 from services.place_recognition.track import Track
 
 Members = tuple[RigMember, ...]
@@ -64,7 +64,7 @@ class RigRule:
         self, rigs: RigConfig, solver: LoopSolverConfig, camera: Callable[[str], Camera | None]
     ) -> None:
         self._config = rigs
-        self._options = options(rigs, solver.fast)
+        self._options = core_options(rigs, solver.fast)
         self._camera = camera
         by_profile = "index" if solver.profile == "paper" else "geometry"
         self._by_geometry = (rigs.neighbours or by_profile) == "geometry"

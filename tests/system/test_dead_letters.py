@@ -98,6 +98,15 @@ def is_leased_once(system: System, job_id: str) -> bool:
         return False
 
 
+def kill_a_worker(system: System, bus: ZenohBus, worker: str) -> str:
+    """Lets a worker vanish with the first job it gets; returns the job once it is taken back."""
+    token = bus.declare_alive(keyexprs.worker_alive(worker))
+    job_id = lease(bus, worker).job.id
+    token.close()
+    system.until("it is taken back", lambda: state_of(system, job_id)[0] is not JobState.LEASED)
+    return job_id
+
+
 def is_over(system: System) -> bool:
     status = system.status("place_recognition")
     return status is not None and (status.pending, status.leased) == (0, 0)
@@ -109,14 +118,9 @@ def test_a_job_that_kills_its_workers_is_saved_and_can_be_tried_again(
     system.start("optimizer")
     system.start("place_recognition")
     system.place_recognition_at_head(len(recording))
-    bus, poison = open_bus(), ""
+    bus = open_bus()
     assert bus.wait_connected(10.0)
-    for number in range(3):
-        token = bus.declare_alive(keyexprs.worker_alive(f"victim-{number}"))
-        lent = lease(bus, f"victim-{number}")
-        assert poison in ("", lent.job.id)
-        poison = lent.job.id
-        token.close()
+    (poison,) = {kill_a_worker(system, bus, f"victim-{number}") for number in range(3)}
     system.until("it is given up", lambda: state_of(system, poison) == (JobState.DEAD, 3))
     file = saved_job_path(system.data, poison)
     system.until("its input is saved", file.exists)

@@ -3,173 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from queue import SimpleQueue
 
 import numpy as np
 import pytest
 
 from covinz import codec, keyexprs
-from covinz.config import OptimizerConfig
 from covinz.durable import open_reader
 from covinz.frames import transform
-from covinz.log_follower import LogReset
-from covinz.memory_bus import Hub
-from covinz.service import StatusRequest
 from covinz.types import (
-    Correction,
     Duplicate,
     Gap,
-    Keyframe,
-    LogEntry,
-    LogPage,
-    LoopClosure,
-    MapList,
     MapSnapshot,
     Rejected,
     RetryAfter,
-    Status,
     Stored,
-    UploadReply,
 )
-from services.optimizer.components import Component
-from services.optimizer.doors import RETRY_AFTER_S, Asked, LoopBrought
-from services.optimizer.loop_store import LoopStore
+from services.optimizer.doors import LoopBrought
 from services.optimizer.lost_loops import LoopsFound
-from services.optimizer.service import Optimizer
-from services.optimizer.unsent import RETRY_S
-from services.optimizer.worker import OptimisationCrashed, run_job
+from services.optimizer.worker import OptimisationCrashed
 from tests.fleets import closure, keyframe, make_fleet, session
+from tests.optimizer_bench import CONFIG, LOG, Bench, Question
 
-CONFIG = OptimizerConfig(settle_s=1.0)
-LOG, OTHER_LOG = "01JD0000000000000000000000", "01JD0000000000000000000001"
-
-
-class Question:
-    """A query whose answers can be looked at."""
-
-    def __init__(self, key: str, payload: bytes = b"") -> None:
-        self.key, self.payload = key, payload
-        self.answers: list[bytes] = []
-        self.dropped = False
-
-    def reply(self, payload: bytes) -> None:
-        self.answers.append(payload)
-
-    def drop(self) -> None:
-        self.dropped = True
-
-
-class Bench:
-    """An optimizer whose log, clock and worker are in the hands of the test."""
-
-    def __init__(self, folder: Path, has_journal: bool = False) -> None:
-        self.folder = folder
-        self.has_journal = has_journal
-        self.looks: list[str] = []
-        self.now_s = 100.0
-        hub = Hub()
-        self._bus, self._listener = hub.join(), hub.join()
-        self._published: SimpleQueue[bytes] = SimpleQueue()
-        self._listener.subscribe(
-            keyexprs.AGENT_CORRECTIONS, lambda _, payload: self._published.put(payload)
-        )
-        self.log_index = 0
-        self.start()
-
-    def start(self) -> None:
-        self.jobs: list[tuple[tuple[Component, ...], int]] = []
-        self.store = LoopStore(self.folder / "optimizer.sqlite")
-        self.optimizer = Optimizer(
-            self.store,
-            self._bus,
-            CONFIG,
-            lambda components, epoch: self.jobs.append((components, epoch)),
-            "optimizer",
-            clock_s=lambda: self.now_s,
-            now_ns=lambda: 5,
-            look_for_loops=self.looks.append if self.has_journal else None,
-        )
-
-    def set_writable(self, writable: bool) -> None:
-        """Whether the store's disk takes writes."""
-        self.store._file.db.execute(f"PRAGMA query_only = {not writable}")
-
-    def restart(self) -> None:
-        self.store.close()
-        self.start()
-
-    def close(self) -> None:
-        self.store.close()
-        self._bus.close()
-        self._listener.close()
-
-    def begin(self, log_id: str = LOG) -> None:
-        self.log_index = 0
-        self.optimizer.handle([LogReset(log_id)])
-
-    def read(self, items: Sequence[Keyframe | Gap], log_id: str = LOG, to_come: int = 0) -> None:
-        entries = tuple(LogEntry(self.log_index + n, item) for n, item in enumerate(items))
-        self.log_index += len(items)
-        self.optimizer.handle([LogPage(log_id, self.log_index + to_come, entries)])
-
-    def bring(self, loop: LoopClosure | bytes) -> UploadReply:
-        payload = loop if isinstance(loop, bytes) else codec.encode(loop)
-        question = Question(keyexprs.LOOP, payload)
-        self.optimizer.handle([LoopBrought(question)])
-        (answer,) = question.answers
-        return codec.decode_upload_reply(answer)
-
-    def run(self) -> int:
-        """Run jobs until there is none; returns how many."""
-        count = 0
-        while self.jobs:
-            self.finish(self.jobs.pop(0))
-            count += 1
-        return count
-
-    def finish(self, job: tuple[tuple[Component, ...], int]) -> None:
-        self.optimizer.handle([run_job(*job, CONFIG)])
-
-    def settle(self) -> None:
-        self.now_s += CONFIG.settle_s
-        self.optimizer.handle([])
-
-    def status(self) -> Status:
-        question = Question(keyexprs.service_status("optimizer", "optimizer"))
-        self.optimizer.handle([StatusRequest(question)])
-        return codec.decode(question.answers[0], Status)
-
-    def ask(self, key: str) -> bytes | None:
-        question = Question(key)
-        self.optimizer.handle([Asked(question)])
-        assert question.dropped is not bool(question.answers)
-        return question.answers[0] if question.answers else None
-
-    def maps(self) -> MapList:
-        return codec.decode(self.ask(keyexprs.MAP_LIST) or b"", MapList)
-
-    def snapshot(self, number: int = 0) -> MapSnapshot:
-        return codec.decode(self.ask(keyexprs.map_snapshot(session(number))) or b"", MapSnapshot)
-
-    def heard(self, count: int) -> list[Correction]:
-        return [codec.decode(self._published.get(timeout=10), Correction) for _ in range(count)]
-
-    def heard_nothing_more(self) -> bool:
-        # The bus keeps its order: behind a last word of ours there is nothing.
-        self._bus.put(keyexprs.agent_correction("last"), b"word")
-        return self._published.get(timeout=10) == b"word"
-
-
-@pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(tmp_path)
-    yield bench
-    bench.close()
-
-
+OTHER_LOG = "01JD0000000000000000000001"
 FLEET = make_fleet(length=20)
 BRIDGE = closure(keyframe("a", 0, 0).id, keyframe("b", 1, 0).id)
 PAIR = [keyframe("a", 0, 0), keyframe("b", 1, 0)]
@@ -552,138 +409,3 @@ def test_a_hole_in_the_log_is_an_error(bench: Bench) -> None:
     bench.log_index = 1
     with pytest.raises(RuntimeError, match="log entry 1 came instead of 0"):
         bench.read(PAIR)
-
-
-# --- corrections ----------------------------------------------------------------------------
-
-
-def test_an_agent_hears_of_its_first_keyframe_and_of_every_optimisation(bench: Bench) -> None:
-    bench.begin()
-    bench.read(FLEET.keyframes)
-    first = bench.heard(2)
-    for correction in first:
-        np.testing.assert_array_equal(correction.T_map_odom, np.eye(4))
-        assert correction.map_id == correction.keyframe.session
-        assert not correction.jumped
-    bench.bring(next(loop for loop in FLEET.loops if loop.query.agent != loop.cand.agent))
-    bench.run()
-    second = bench.heard(2)
-    assert [c.map_id for c in second] == [session(0), session(0)]
-    assert [c.jumped for c in second] == [False, True]
-    assert {c.map_revision for c in second} == {1}
-    snapshot = bench.snapshot()
-    for correction in second:
-        node = snapshot.keyframes.index(correction.keyframe)
-        assert correction.keyframe.seq == 19
-        np.testing.assert_allclose(
-            correction.T_map_odom @ snapshot.T_odom_body[node],
-            snapshot.T_map_body[node],
-            atol=1e-9,
-        )
-    assert bench.heard_nothing_more()
-
-
-def test_only_the_newest_session_of_an_agent_is_corrected(bench: Bench) -> None:
-    bench.begin()
-    bench.read([keyframe("a", 0, 0), keyframe("a", 1, 0), keyframe("b", 2, 0)])
-    bench.read([keyframe("a", 0, 1)])
-    assert [c.keyframe.session for c in bench.heard(2)] == [session(1), session(2)]
-    bench.bring(closure(keyframe("b", 2, 0).id, keyframe("a", 0, 0).id))
-    bench.run()
-    (correction,) = bench.heard(1)
-    assert (correction.keyframe.agent, correction.map_id) == ("b", session(0))
-    bench.bring(closure(keyframe("a", 1, 0).id, keyframe("a", 0, 0).id))
-    bench.run()
-    assert [(c.keyframe.agent, c.map_id) for c in bench.heard(2)] == [
-        ("a", session(0)),
-        ("b", session(0)),
-    ]
-    assert bench.heard_nothing_more()
-
-
-def test_a_session_whose_start_was_overtaken_is_corrected_all_the_same(bench: Bench) -> None:
-    # Several uploads of a robot are under way at once: its old session may be logged after the
-    # first keyframe of the one it is in.
-    bench.begin()
-    bench.read([keyframe("a", 1, 0), keyframe("a", 0, 0)])
-    assert [c.keyframe.session for c in bench.heard(1)] == [session(0)]
-    bench.read([keyframe("a", 1, seq) for seq in range(1, 6)])
-    assert [c.keyframe.session for c in bench.heard(1)] == [session(1)]
-    bench.read([keyframe("b", 2, 0)])
-    bench.heard(1)
-    bench.bring(closure(keyframe("b", 2, 0).id, keyframe("a", 1, 0).id))
-    bench.run()
-    assert [c.keyframe.segment for c in bench.heard(2)] == [
-        keyframe("a", 1, 0).id.segment,
-        keyframe("b", 2, 0).id.segment,
-    ]
-    assert bench.heard_nothing_more()
-
-
-def test_the_last_correction_can_be_asked_for_even_after_a_restart(bench: Bench) -> None:
-    bench.begin()
-    assert bench.ask(keyexprs.agent_correction("a")) is None
-    bench.read(PAIR)
-    bench.bring(BRIDGE)
-    bench.run()
-    answer = bench.ask(keyexprs.agent_correction("b"))
-    assert codec.decode(answer or b"", Correction).map_id == session(0)
-    bench.restart()
-    assert bench.ask(keyexprs.agent_correction("b")) == answer
-
-
-def test_a_replay_sends_nothing_before_it_is_done(bench: Bench) -> None:
-    bench.begin()
-    bench.read(PAIR)
-    bench.bring(BRIDGE)
-    bench.run()
-    bench.heard(4)
-    bench.restart()
-    bench.begin()
-    bench.read(PAIR[:1], to_come=1)
-    bench.read(PAIR[1:])
-    assert bench.heard_nothing_more()
-    bench.run()
-    corrections = bench.heard(2)
-    assert [c.map_id for c in corrections] == [session(0), session(0)]
-    assert [c.jumped for c in corrections] == [False, False]
-    assert {c.map_revision for c in corrections} == {2}
-
-
-@pytest.mark.parametrize(
-    "key", ["covinz/map/snapshot/nothing", "covinz/agent/*/down/correction", "covinz/map/other"]
-)
-def test_questions_without_an_answer_end_at_once(bench: Bench, key: str) -> None:
-    assert bench.ask(key) is None
-
-
-# --- a disk that takes no writes ------------------------------------------------------------
-
-
-def test_corrections_wait_until_they_are_durable(bench: Bench) -> None:
-    bench.begin()
-    bench.read(PAIR)
-    bench.heard(2)
-    assert bench.bring(BRIDGE) == Stored()
-    bench.set_writable(False)
-    bench.run()
-    answer = bench.bring(closure(PAIR[1].id, PAIR[0].id))
-    assert answer == RetryAfter(RETRY_AFTER_S, "the server cannot write to its disk")
-    status = bench.status()
-    assert status.dirty
-    assert status.counters["cannot_store.other"] == 1
-    assert bench.optimizer.patience_s() == pytest.approx(RETRY_S)
-    assert bench.heard_nothing_more()
-
-    bench.now_s += RETRY_S
-    bench.optimizer.handle([])
-    assert bench.heard_nothing_more()
-    bench.set_writable(True)
-    bench.now_s += RETRY_S
-    bench.optimizer.handle([])
-    assert {c.keyframe.agent for c in bench.heard(2)} == {"a", "b"}
-    assert not bench.status().dirty
-    revision = bench.store.revision
-    bench.restart()
-    assert bench.store.revision == revision
-    assert len(bench.store.corrections()) == 2

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from covinz import frames
 from covinz.config import FastLoopConfig, OdometryNoise, RigConfig
 from covinz.types import Array, Camera
-from services.place_recognition.neighbours import choose, options
+from services.place_recognition.neighbours import choose, core_options
 
 FAST = FastLoopConfig()
-DEFAULT = options(RigConfig(), FAST)
+DEFAULT = core_options(RigConfig(), FAST)
 # The body's x axis looks ahead, z is up.
 AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 CAMERA = Camera(
@@ -41,7 +41,7 @@ def straight(count: int, step: list[float]) -> Array:
 def others(T_odom_body: Array, reference: int, size: int, **rigs: Any) -> list[int]:
     """Rows besides the reference, as steps from it."""
     cameras = [CAMERA] * len(T_odom_body)
-    choice = choose(T_odom_body, cameras, reference, size, options(RigConfig(**rigs), FAST))
+    choice = choose(T_odom_body, cameras, reference, size, core_options(RigConfig(**rigs), FAST))
     assert choice.rows[0] == reference
     assert len(set(choice.rows)) == len(choice.rows) == min(size, len(T_odom_body))
     assert list(choice.rows[1:]) == sorted(choice.rows[1:])
@@ -71,7 +71,7 @@ def test_nearer_scenes_and_worse_odometry_make_shorter_rigs() -> None:
     near, far = (others(T, 40, 3, depth_m=depth_m)[1] for depth_m in (1.0, 4.0))
     assert near < far
     noise = OdometryNoise(rotation_per_sqrt_m=0.1, rotation_per_sqrt_rad=0.2)
-    drifting = options(RigConfig(), FastLoopConfig(odometry=noise))
+    drifting = core_options(RigConfig(), FastLoopConfig(odometry=noise))
     worse = choose(T, [CAMERA] * 81, 40, 3, drifting)
     best = choose(T, [CAMERA] * 81, 40, 3, DEFAULT)
     assert max(worse.rows) <= max(best.rows)
@@ -130,7 +130,7 @@ def test_information_is_that_of_the_scale() -> None:
     noise = OdometryNoise(rotation_per_sqrt_m=0.0, min_rotation=1e-9)
     T = straight(2, [0.0, 0.2, 0.0])
     # So far away that everything looks the same from both.
-    distant = options(RigConfig(depth_m=1e4), FastLoopConfig(odometry=noise))
+    distant = core_options(RigConfig(depth_m=1e4), FastLoopConfig(odometry=noise))
     choice = choose(T, [CAMERA] * 2, 0, 2, distant)
     variance = noise.translation_per_sqrt_m**2 * 0.2 + noise.min_translation**2
     assert choice.information == pytest.approx(0.2**2 / variance, rel=1e-3)
@@ -168,7 +168,7 @@ def test_no_other_rig_of_that_size_tells_more(steps_m: list[float], data: st.Dat
     rest = [row for row in range(len(T)) if row != reference]
     drawn = data.draw(st.permutations(rest))[: size - 1]
     rows = sorted([reference, *drawn])
-    anywhere = options(RigConfig(min_overlap=0.0), FAST)
+    anywhere = core_options(RigConfig(min_overlap=0.0), FAST)
     best = choose(T, [CAMERA] * len(T), reference, size, anywhere)
     other = choose(T[rows], [CAMERA] * len(rows), rows.index(reference), size, anywhere)
     assert other.information <= best.information + 1e-3
