@@ -29,6 +29,7 @@ __all__ = [
     "decode_upload_reply",
     "encode",
     "encode_log_page",
+    "says_it_is",
     "schema_name",
     "without_features",
 ]
@@ -123,6 +124,11 @@ def decode_outcome(payload: bytes) -> Outcome:
 def decode_upload_reply(payload: bytes) -> UploadReply:
     """Read ingest's answer to an upload; raises MalformedMessage."""
     return cast(UploadReply, _decode(payload, _REPLY))
+
+
+def says_it_is(payload: bytes, kind: type) -> bool:
+    """Whether a payload has the identifier of a message type; it may be malformed all the same."""
+    return payload[4:8] == IDENTIFIERS[_FORMS[kind].name]
 
 
 def encode_log_page(

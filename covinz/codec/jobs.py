@@ -198,6 +198,7 @@ def job_done_fields(done: JobDone) -> Fields:
         "worker": worker,
         "outcome": _outcome_fields(done.outcome),
         "log_id": values.maybe_log_id(done.log_id),
+        "wants_next": bool(done.wants_next),
     }
 
 
@@ -205,7 +206,7 @@ def job_done(fields: Fields) -> JobDone:
     """The inverse of `job_done_fields`."""
     worker = values.text(fields["worker"], "worker", values.INSTANCE)
     log_id = values.maybe_log_id(fields["log_id"]) or ""
-    return JobDone(worker, _outcome(fields["outcome"]), log_id)
+    return JobDone(worker, _outcome(fields["outcome"]), log_id, fields["wants_next"])
 
 
 def job_range_fields(wanted: JobRange) -> Fields:

@@ -210,11 +210,14 @@ class JobDone:
         worker: Who solved it.
         outcome: What came of it.
         log_id: The log that the job is of, as its lease said; empty when nobody said.
+        wants_next: Whether the worker asks for its next job with this. If there is one at once, its
+            Lease is the answer in place of Stored or Duplicate.
     """
 
     worker: str
     outcome: Outcome
     log_id: str = ""
+    wants_next: bool = False
 
 
 class JobState(enum.Enum):

@@ -127,14 +127,14 @@ class Worker:
         while not self._stopping:
             asked_s = self._clock_s()
             lease = self._lease()
-            if lease is not None:
-                self._busy = True
-                self._work(lease)
-                self._busy = False
-            elif self._clock_s() - asked_s < PROMPT_S:
+            if lease is None and self._clock_s() - asked_s < PROMPT_S:
                 self._pause(next(pauses))
                 continue
             pauses = self._pauses_s()
+            self._busy = lease is not None
+            while lease is not None:
+                lease = self._work(lease)
+            self._busy = False
 
     def _lease(self) -> Lease | None:
         with self._lock:
@@ -151,22 +151,27 @@ class Worker:
         # would not.
         return codec.decode(replies[0], Lease) if replies else None
 
-    def _work(self, lease: Lease) -> None:
+    def _work(self, lease: Lease) -> Lease | None:
+        """Bring the outcome of a job; returns the next one if there is one at once."""
         job = lease.job
         outcome = self._outcome(job)
         if isinstance(outcome, LoopClosure):
             outcome = self._bring_loop(outcome, lease.log_id)
         if outcome is None:
             logger.info("gave job %s back: the process ends", job.id, extra=about(job=job.id))
-            return
+            return None
+        done = JobDone(self._worker, outcome, lease.log_id, wants_next=not self._stopping)
+        payload = codec.encode(done)
         if isinstance(outcome, Rejection):
             self._bus.put(keyexprs.REJECTION, codec.encode(outcome))
-        self._send(keyexprs.JOB_DONE, codec.encode(JobDone(self._worker, outcome, lease.log_id)))
+        answer = self._send(keyexprs.JOB_DONE, payload)
         if isinstance(outcome, LoopClosure):
             # The optimizer may have lost its file since, and read the journal before the outcome
             # came. That it was away need not have been seen from here, so it is always asked.
             self._bring_loop(outcome, lease.log_id)
         self._count(outcome)
+        # One that came although the process ends meanwhile is worked off: nobody else has it.
+        return answer if isinstance(answer, Lease) else None
 
     def _outcome(self, job: LoopJob) -> Outcome | None:
         """The outcome; None when the process ends before the keyframes can be had."""
@@ -201,7 +206,7 @@ class Worker:
 
     def _send(
         self, key: str, payload: bytes, is_void: Callable[[], bool] = lambda: False
-    ) -> UploadReply | None:
+    ) -> UploadReply | Lease | None:
         """Ask until there is a final answer; None when the process ends before.
 
         `is_void` is asked whenever the receiver is not ready: it need not wait for ever.
@@ -209,6 +214,8 @@ class Worker:
         for pause_s in self._pauses_s():
             wait_s = pause_s
             for reply in self._bus.ask(key, payload):
+                if codec.says_it_is(reply, Lease):
+                    return codec.decode(reply, Lease)  # or end, as with any that cannot be read
                 try:
                     answer = codec.decode_upload_reply(reply)
                 except MalformedMessage as error:

@@ -28,6 +28,7 @@ from covinz.types import (
     UploadReply,
 )
 from services.place_recognition.dispatcher import Dispatcher
+from services.place_recognition.job_state import Effects
 from services.place_recognition.journal import Journal
 
 logger = logging.getLogger(__name__)
@@ -115,6 +116,8 @@ class Desk:
         self._bus = bus
         self._save = save
         self._acks: list[tuple[Query, UploadReply]] = []
+        # Workers that want their next job as the answer to an outcome.
+        self._next: list[tuple[str, Query]] = []
         # Given up, and nobody was told yet.
         self._dead: list[tuple[LoopJob, Rejection]] = []
         self._shed: list[Rejection] = []
@@ -161,6 +164,8 @@ class Desk:
         """Make what was handled durable, then tell those who wait."""
         if self._trouble and now_s < self._retry_at_s:
             return self._refuse_acks()
+        for worker, query in self._next:
+            self._dispatcher.request(worker, query, now_s, patience_s=0.0)
         effects = self._dispatcher.advance(now_s)
         self._dead += effects.dead
         self._shed += effects.shed
@@ -168,15 +173,22 @@ class Desk:
             for query in (*(query for query, _ in effects.granted), *effects.turned_away):
                 query.drop()
             return self._refuse_acks()
-        for query, ack in self._acks:
-            query.reply(codec.encode(ack))
-        self._acks.clear()
-        for query, lease in effects.granted:
-            query.reply(codec.encode(lease))
-        for query in effects.turned_away:
-            query.drop()
+        self._answer(effects)
         self._tell_given_up()
         return None
+
+    def _answer(self, effects: Effects[Query]) -> None:
+        """A lease is also an acknowledgement, and a query that got one is not turned away."""
+        for query, lease in effects.granted:
+            query.reply(codec.encode(lease))
+        leased = {id(query) for query, _ in effects.granted}
+        for query, ack in self._acks:
+            if id(query) not in leased:
+                query.reply(codec.encode(ack))
+        self._acks.clear()
+        self._next.clear()
+        for query in effects.turned_away:
+            query.drop()
 
     def _tell_given_up(self) -> None:
         for job, rejection in self._dead:
@@ -213,6 +225,7 @@ class Desk:
         for query, _ in self._acks:
             query.drop()
         self._acks.clear()
+        self._next.clear()
 
     def _bring(self, query: Query) -> None:
         done = codec.decode(query.payload, JobDone)
@@ -223,6 +236,8 @@ class Desk:
         fresh = self._dispatcher.finish(done.outcome, done.worker)
         self._counters["duplicate_outcomes"] += not fresh
         self._acks.append((query, Stored() if fresh else Duplicate()))
+        if done.wants_next:
+            self._next.append((done.worker, query))
 
     def _retry(self, query: Query) -> None:
         try:

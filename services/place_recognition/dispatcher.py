@@ -158,8 +158,17 @@ class Dispatcher(Generic[Asker]):
         self._return(entry)
         return True
 
-    def request(self, worker: str, asker: Asker, now_s: float) -> None:
-        """A worker asks for a job; answered by `advance`, perhaps much later."""
+    def request(
+        self, worker: str, asker: Asker, now_s: float, patience_s: float | None = None
+    ) -> None:
+        """A worker asks for a job; answered by `advance`, perhaps much later.
+
+        Args:
+            worker: Its name.
+            asker: Stands for the request.
+            now_s: Time.
+            patience_s: How long it waits for a job at most; `long_poll_s` unless told.
+        """
         if worker in self._gone:
             # It died with this request on its way; one that lives will ask again.
             del self._gone[worker]
@@ -167,7 +176,8 @@ class Dispatcher(Generic[Asker]):
             return
         self._absolve(worker)
         self._end_worker(worker, failed=False)
-        self._waiters[worker] = _Waiter(asker, now_s + self._config.long_poll_s)
+        wait_s = self._config.long_poll_s if patience_s is None else patience_s
+        self._waiters[worker] = _Waiter(asker, now_s + wait_s)
 
     def worker_gone(self, worker: str) -> None:
         """The liveliness token of a worker vanished: its lease and its request end."""

@@ -138,6 +138,7 @@ EXAMPLES: dict[str, Any] = {
     "JobDone-loop": types.JobDone("worker-1", LOOP),
     "JobDone-rejection": types.JobDone("worker-1", REJECTION),
     "JobDone-of_a_log": types.JobDone("worker-1", REJECTION, NEW),
+    "JobDone-wants_next": types.JobDone("worker-1", REJECTION, NEW, wants_next=True),
     "JobRange": types.JobRange(100),
     "JobPage": types.JobPage(
         2, 0,

@@ -319,7 +319,7 @@ class Simulation:
 
     def _see_answer(self, member: SimulatedBus, key: str, payload: bytes) -> None:
         name = member.machine.name
-        if key == keyexprs.JOB_LEASE:
+        if codec.says_it_is(payload, Lease):
             self._job_of[name] = codec.decode(payload, Lease).job.id
         elif key == keyexprs.JOB_DONE:
             self._job_of.pop(name, None)

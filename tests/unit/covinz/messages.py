@@ -235,7 +235,7 @@ messages: st.SearchStrategy[Any] = st.one_of(
     loop_jobs,
     loop_closures,
     rejections,
-    st.builds(types.JobDone, names, outcomes),
+    st.builds(types.JobDone, names, outcomes, wants_next=st.booleans()),
     st.builds(types.JobRange, counts),
     st.builds(types.JobPage, counts, counts, st.lists(records, max_size=3).map(tuple)),
     st.builds(types.Correction, keyframe_ids, ulids, counts, poses, st.booleans(), counts),

@@ -66,8 +66,8 @@ class Server:
         query.reply(codec.encode(answer))
         return codec.decode(query.payload, LoopClosure)
 
-    def take_done(self, answer: UploadReply | None = None) -> JobDone:
-        """Acknowledge the next outcome."""
+    def take_done(self, answer: UploadReply | Lease | None = None) -> JobDone:
+        """Acknowledge the next outcome, perhaps with the next job."""
         query = self.done.get(timeout=PATIENCE_S)
         query.reply(codec.encode(answer or Stored()))
         return codec.decode(query.payload, JobDone)
@@ -169,6 +169,34 @@ def test_an_outcome_is_sent_until_it_is_acknowledged(
     server.leases.get(timeout=PATIENCE_S)
 
 
+def test_the_next_job_may_come_as_the_answer_to_an_outcome(
+    room: Any, server: Server, start: Start
+) -> None:
+    worker = start(loop_of)
+    server.lend(room.job)
+    for _ in range(3):
+        server.take_loop(Stored())
+        assert server.take_done(Lease(room.job, "w-1", 1, 60.0)).wants_next
+        server.take_loop(Duplicate())
+    assert server.leases.empty() and worker.busy
+    server.take_loop(Stored())
+    assert server.take_done(Stored()).wants_next
+    server.take_loop(Duplicate())
+    server.leases.get(timeout=PATIENCE_S)
+    assert worker.counters["accepted"] == 4 and not worker.busy
+
+
+def test_a_next_job_that_cannot_be_read_ends_the_worker(
+    room: Any, server: Server, start: Start, failures: list[Any]
+) -> None:
+    worker = start(rejection_of)
+    server.lend(room.job)
+    query = server.done.get(timeout=PATIENCE_S)
+    query.reply(codec.encode(Lease(room.job, "w-1", 1, 60.0))[:-40])
+    worker.join()
+    assert [type(failure) for failure in failures] == [MalformedMessage]
+
+
 def test_a_loop_that_the_optimizer_refuses_is_a_rejection(
     room: Any, server: Server, start: Start
 ) -> None:
@@ -245,7 +273,26 @@ def test_stopping_finishes_the_job_at_hand(room: Any, server: Server, start: Sta
     stopping.start()
     finish.set()
     server.take_loop(Stored())
-    server.take_done()
+    assert not server.take_done().wants_next
+    server.take_loop(Duplicate())
+    stopping.join(PATIENCE_S)
+    assert not stopping.is_alive()
+    assert server.leases.empty()
+
+
+def test_a_job_that_comes_while_stopping_is_worked_off(
+    room: Any, server: Server, start: Start
+) -> None:
+    worker = start(rejection_of)
+    server.lend(room.job)
+    query = server.done.get(timeout=PATIENCE_S)
+    stopping = threading.Thread(target=worker.stop)
+    stopping.start()
+    query.reply(codec.encode(Lease(room.job, "w-1", 1, 60.0)))
+    while codec.decode((query := server.done.get(timeout=PATIENCE_S)).payload, JobDone).wants_next:
+        # The thread that stops it had not come so far yet.
+        query.reply(codec.encode(Lease(room.job, "w-1", 1, 60.0)))
+    query.reply(codec.encode(Stored()))
     stopping.join(PATIENCE_S)
     assert not stopping.is_alive()
     assert server.leases.empty()

@@ -12,6 +12,7 @@ import pytest
 from covinz import codec, keyexprs
 from covinz.bus import Query
 from covinz.config import PlaceRecognitionConfig
+from covinz.durable import open_reader
 from covinz.memory_bus import Hub, InMemoryBus
 from covinz.service import Inbox
 from covinz.types import (
@@ -156,6 +157,56 @@ def test_an_outcome_is_acknowledged_once_it_is_durable(office: Office, ask: Ask)
         assert again.recall(job(0).id).outcome == rejection(0)
 
 
+def test_the_next_job_is_the_answer_to_an_outcome(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    office.dispatcher.add(job(1))
+    asked = ask(keyexprs.JOB_LEASE, LeaseRequest("w"))
+    office.step()
+    first = codec.decode(asked.replies()[0], Lease).job
+    done = JobDone("w", rejection(int(first.id, 16)), LOG, wants_next=True)
+    asked = ask(keyexprs.JOB_DONE, done)
+    office.step()
+    second = codec.decode(asked.replies()[0], Lease)
+    assert {first.id, second.job.id} == {job(0).id, job(1).id}
+    assert office.dispatcher.leased == 1
+    with closing(open_reader(office.path)) as reader:
+        durable = reader.execute("SELECT id FROM job WHERE state = 'done'").fetchall()
+    assert durable == [(first.id,)]
+    # The answer was lost: the worker asks again, and its lease is given anew.
+    again = ask(keyexprs.JOB_DONE, done)
+    office.step()
+    lease = codec.decode(again.replies()[0], Lease)
+    assert (lease.job.id, lease.attempt) == (second.job.id, 1)
+
+
+def test_without_a_next_job_an_outcome_is_acknowledged_at_once(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(0), LOG, wants_next=True))
+    office.step()
+    assert codec.decode_upload_reply(asked.replies()[0]) == Stored()
+    # Nor is it remembered that the worker wanted one.
+    office.dispatcher.add(job(1))
+    office.step(seconds=1.0)
+    assert (office.dispatcher.pending, office.dispatcher.leased) == (1, 0)
+
+
+def test_no_next_job_for_an_outcome_of_a_lost_log(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(1), OTHER_LOG, wants_next=True))
+    office.step()
+    assert isinstance(codec.decode_upload_reply(asked.replies()[0]), Rejected)
+    assert office.dispatcher.leased == 0
+
+
+def test_a_worker_that_vanished_with_its_outcome_gets_no_next_job(office: Office, ask: Ask) -> None:
+    office.dispatcher.add(job(0))
+    office.desk.handle(WorkerGone("w"), 0.0)
+    asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(1), LOG, wants_next=True))
+    office.step()
+    assert codec.decode_upload_reply(asked.replies()[0]) == Stored()
+    assert office.dispatcher.leased == 0
+
+
 def test_an_outcome_of_a_lost_log_is_refused_for_good(office: Office, ask: Ask) -> None:
     office.dispatcher.add(job(0))
     asked = ask(keyexprs.JOB_DONE, JobDone("w", rejection(0), OTHER_LOG))
@@ -261,6 +312,9 @@ def test_while_the_disk_takes_no_writes_nothing_is_lent_or_acknowledged(
     office.step()
     assert done.replies() == []
     assert office.desk.counters == {"cannot_store.other": 1}
+    done = ask(keyexprs.JOB_DONE, JobDone("w", rejection(2), wants_next=True))
+    office.step()
+    assert done.replies() == []
     assert office.desk.next_deadline_s() == RETRY_S
     office.step(seconds=RETRY_S)  # still so
     assert office.desk.next_deadline_s() == 2 * RETRY_S
