@@ -25,9 +25,6 @@ _RESTART_S = 1.0
 _AT_WORK_S = 3.0
 # Longer than any wait that is not a failure. [s]
 PATIENCE_S = 90.0
-# QUIC doubles its pause with every packet that is lost in a row. With 30 % loss 20 s are usual, and
-# one run in a dozen takes longer than 90. [s]
-_IN_THE_RAIN_S = 400.0
 
 
 @dataclass(eq=False)
@@ -108,7 +105,7 @@ class Stage:
         """Other weather until all of the recording has arrived in it."""
         assert self.network is not None
         self.network.change(weather)
-        self.robot.wait_done(_IN_THE_RAIN_S)
+        self.robot.wait_done(PATIENCE_S)
         return self.fair()
 
     def fair(self) -> float:

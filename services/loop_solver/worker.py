@@ -2,9 +2,9 @@
 
 A loop goes to the optimizer first and to the dispatcher then, each until acknowledged: a job that
 counts as done has its loop in the map's books. Both deduplicate, so a crash in between only costs
-a second solve.
+a second solve. The answer to an outcome may be the next job.
 
-Source: docs/architecture.md; decision 0006 (pull with leases).
+Source: docs/architecture.md; decisions 0006 (pull with leases) and 0035 (the next job).
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ class Worker:
             wait_s = pause_s
             for reply in self._bus.ask(key, payload):
                 if codec.says_it_is(reply, Lease):
-                    return codec.decode(reply, Lease)  # or end, as with any that cannot be read
+                    return codec.decode(reply, Lease)  # or end, as `_lease` does
                 try:
                     answer = codec.decode_upload_reply(reply)
                 except MalformedMessage as error:
