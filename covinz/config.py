@@ -324,8 +324,8 @@ class OptimizerConfig(Section):
     # New keyframes alone start an optimisation after this long without other events. [s]
     settle_s: Positive = 1.0
     # While loops keep coming, optimising takes at most this share of the time: what came meanwhile
-    # is optimised together. 1: as soon as there is something. [decision 0032]
-    max_share: Annotated[float, Field(gt=0, le=1)] = 0.1
+    # is optimised together. 1: as soon as there is something. [decisions 0032, 0036]
+    max_share: Annotated[float, Field(gt=0, le=1)] = 0.05
     # ... but no loop waits longer than this for the next optimisation to begin. [s]
     max_rest_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2.0
     # A correction that moves further than this since the last one is marked as a jump. [m]

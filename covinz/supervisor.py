@@ -18,7 +18,9 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -52,11 +54,13 @@ class ProcessSpec:
         name: Unique in the supervisor.
         argv: Command line.
         beats: It sends heartbeats, and is killed when they stop.
+        processor: The only one that it runs on; None: wherever it is put.
     """
 
     name: str
     argv: tuple[str, ...]
     beats: bool = False
+    processor: int | None = None
 
 
 def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpec]:
@@ -67,8 +71,11 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
     """
     require_services()
     names = ["router", "ingest", "place_recognition", "optimizer"]
-    instances = [(name, name) for name in names]
-    instances += [("loop_solver", f"loop_solver-{i}") for i in range(workers)]
+    instances: list[tuple[str, str, int | None]] = [(name, name, None) for name in names]
+    instances += [
+        ("loop_solver", f"loop_solver-{number}", processor)
+        for number, processor in enumerate(processors_of(workers))
+    ]
     return [
         ProcessSpec(
             instance,
@@ -78,9 +85,23 @@ def server_specs(config_file: Path, data: Path, workers: int) -> list[ProcessSpe
                 *("--port-offset", str(number)),
             ),
             beats=True,
+            processor=processor,
         )
-        for number, (service, instance) in enumerate(instances)
+        for number, (service, instance, processor) in enumerate(instances)
     ]
+
+
+def processors_of(workers: int) -> list[int | None]:
+    """Where each of so many loop solvers runs; None: wherever it is put.
+
+    Solvers that fill the machine get a processor each. Left to the scheduler, what one of them
+    wakes while it waits for an answer runs on another one's processor, while its own is idle.
+
+    Source: decision 0036.
+    """
+    ours = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    fills = workers > 1 and workers == len(ours)
+    return [*ours] if fills else [None] * workers
 
 
 def require_services() -> None:
@@ -228,7 +249,7 @@ class Supervisor:
                     # Ctrl-C reaches this command only; it then asks its children in order. Not a
                     # session: who gives way to whom would not count between them.
                     process_group=0,
-                    preexec_fn=_prepare_child,
+                    preexec_fn=partial(_prepare_child, spec.processor),
                 )
                 self._children[spec.name] = child
                 self._starts[spec.name] = self._starts.get(spec.name, 0) + 1
@@ -276,10 +297,13 @@ class Supervisor:
             log.error("cannot write %s: %s", self._pid_file, error)
 
 
-def _prepare_child() -> None:
+def _prepare_child(processor: int | None) -> None:
     # In the background of our terminal, where ``stty tostop`` would stop it for what it says.
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     die_with_parent()
+    if processor is not None:
+        with suppress(OSError):  # it may have been taken from us meanwhile
+            os.sched_setaffinity(0, {processor})
 
 
 def die_with_parent() -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from typing import Generic, TypeVar
 
 from covinz.config import PlaceRecognitionConfig
@@ -29,6 +30,7 @@ from covinz.types import (
 )
 from services.place_recognition.job_state import Asker, Effects, Job, counter_of, given_up
 from services.place_recognition.journal import Journal
+from services.place_recognition.locality import Locality
 from services.place_recognition.loop_graph import LoopGraph
 from services.place_recognition.pending import Pending
 
@@ -70,6 +72,7 @@ class Dispatcher(Generic[Asker]):
         self._journal = journal
         self._waiters: dict[str, _Waiter[Asker]] = {}
         self._gone: dict[str, None] = {}
+        self._locality = Locality()
         self._turned_away: list[Asker] = []
         # Empty until it is known whether the journal's log is still the one.
         self._log_id = ""
@@ -182,6 +185,7 @@ class Dispatcher(Generic[Asker]):
     def worker_gone(self, worker: str) -> None:
         """The liveliness token of a worker vanished: its lease and its request end."""
         _remember(self._gone, worker, None)
+        self._locality.gone(worker)
         loan = self._loans.get(worker)
         self._end_worker(worker, failed=True)
         if loan is not None:
@@ -262,7 +266,9 @@ class Dispatcher(Generic[Asker]):
         return JobPage(total=len(self._jobs), first=first, records=records)
 
     def _lend(self, worker: str, now_s: float) -> Lease:
-        entry = self._jobs[self._pending.pop()]
+        suits = partial(self._locality.num_known, worker)
+        entry = self._jobs[self._pending.pop(suits)]
+        self._locality.lent(worker, entry.job)
         entry.state = JobState.LEASED
         self._loans[worker] = _Loan(entry, now_s + self._config.lease_s)
         attempt = entry.failures + 1

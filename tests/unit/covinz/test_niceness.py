@@ -71,7 +71,7 @@ def test_only_threads_that_compute_take_long_turns() -> None:
     starter = threading.Thread(target=start)
     starter.start()
     starter.join()
-    niceness = os.getpriority(os.PRIO_PROCESS, 0) + 2
+    niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + 2, 19)
     assert {nice for _, nice in found.values()} == {niceness}
     assert found["answers"][0] == pytest.approx(SHORT_TURNS_S)
     assert found["computes"][0] == pytest.approx(LONG_TURNS_S)

@@ -14,7 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from covinz.supervisor import ProcessSpec, Supervisor, child_environment, server_specs
+from covinz.supervisor import (
+    ProcessSpec,
+    Supervisor,
+    child_environment,
+    processors_of,
+    server_specs,
+)
 
 # Says that it is up by making a file named after its pid, then waits for a signal.
 CHILD = (
@@ -188,6 +194,49 @@ def test_the_server_has_each_service_once_and_the_workers_asked_for(tmp_path: Pa
         *("loop_solver-0", "loop_solver-1", "loop_solver-2"),
     ]
     assert all("--data" in spec.argv and "--config" in spec.argv for spec in specs)
+
+
+@pytest.mark.parametrize(
+    ("workers", "processors"),
+    [(1, [None]), (2, [None, None]), (3, [1, 4, 5]), (4, [None, None, None, None])],
+)
+def test_loop_solvers_that_fill_the_machine_get_a_processor_each(
+    workers: int, processors: list[int | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {4, 1, 5}, raising=False)
+    assert processors_of(workers) == processors
+    specs = server_specs(Path("config.yaml"), Path("data"), workers)
+    assert [spec.processor for spec in specs] == [None, None, None, None, *processors]
+
+
+def test_one_loop_solver_on_one_processor_is_not_bound_to_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+    assert processors_of(1) == [None]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes cannot be bound here")
+def test_a_process_stays_on_its_processor_also_when_it_is_started_again(tmp_path: Path) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    last = max(os.sched_getaffinity(0))
+    bound = ProcessSpec("bound", spec("bound", up).argv, processor=last)
+    with Supervisor([bound]):
+        wait_for(lambda: len(started(up)) == 1)
+        first = started(up)[0]
+        assert os.sched_getaffinity(first) == {last}
+        os.kill(first, signal.SIGKILL)
+        wait_for(lambda: len(started(up)) == 2)
+        second = next(pid for pid in started(up) if pid != first)
+        assert os.sched_getaffinity(second) == {last}
+
+
+def test_a_processor_that_is_gone_keeps_no_process_from_starting(tmp_path: Path) -> None:
+    up = tmp_path / "up"
+    up.mkdir()
+    with Supervisor([ProcessSpec("a", spec("a", up).argv, processor=1_000_000)]):
+        wait_for(lambda: len(started(up)) == 1)
 
 
 def test_a_process_is_started_again_although_its_files_cannot_be_written(tmp_path: Path) -> None:

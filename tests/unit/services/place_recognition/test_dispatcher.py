@@ -92,6 +92,17 @@ def test_jobs_and_workers_are_served_in_order(desk: Dispatcher[str]) -> None:
     assert lent(desk, 0.2) == [("r3", "00", 1)]
 
 
+def test_a_worker_gets_jobs_of_keyframes_that_it_has(desk: Dispatcher[str]) -> None:
+    for n in (20, 0, 1, 21):
+        desk.add(job(n))
+    for worker in ("w1", "w2", "w1", "w2"):
+        desk.request(worker, worker, 0.0)
+        ((_, lease),) = desk.advance(0.0).granted
+        desk.finish(rejection(int(lease.job.id, 16)), worker)
+        if worker == "w1":
+            assert int(lease.job.id, 16) in (20, 21)
+
+
 def test_a_lease_says_how_long_it_lasts(desk: Dispatcher[str]) -> None:
     desk.add(job(0))
     desk.request("w", "r", 0.0)

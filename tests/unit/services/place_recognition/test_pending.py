@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from covinz.types import KeyframeId, LoopJob, RigMember
 from services.place_recognition.loop_graph import LoopGraph
-from services.place_recognition.pending import Pending
+from services.place_recognition.pending import CHOICE, Pending
 
 SESSION = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 
@@ -92,3 +92,67 @@ def test_the_order_is_that_of_a_sort_whatever_is_joined_meanwhile(seed: int) -> 
                 waiting[number] = job(some(), some())
                 pending.add(number, waiting[number])
         assert len(pending) == len(waiting)
+
+
+def waiting(*pairs: tuple[KeyframeId, KeyframeId], graph: LoopGraph) -> Pending:
+    pending = Pending(graph)
+    for number, pair in enumerate(pairs):
+        pending.add(number, job(*pair))
+    return pending
+
+
+def one_map() -> LoopGraph:
+    graph = LoopGraph()
+    graph.join(kf("a", 0), kf("b", 0))
+    return graph
+
+
+def test_among_the_most_useful_ones_who_asks_gets_what_suits() -> None:
+    # All bridge ways of different lengths; the first is the longest.
+    pairs = [(kf("a", 500 - 10 * way), kf("a", 0)) for way in range(CHOICE + 1)]
+    pending = waiting(*pairs, graph=one_map())
+
+    def suits(one: LoopJob) -> int:
+        return int(one.query in (kf("a", 470), kf("a", 460)))
+
+    assert [pending.pop(suits) for _ in range(4)] == [3, 4, 0, 1]
+    assert len(pending) == CHOICE - 3
+
+
+def test_beyond_the_most_useful_ones_nobody_chooses() -> None:
+    pairs = [(kf("a", 500 - 10 * way), kf("a", 0)) for way in range(CHOICE + 1)]
+    pending = waiting(*pairs, graph=one_map())
+    least = pairs[-1][0]
+    assert pending.pop(lambda one: int(one.query == least)) == 0
+    assert pending.pop(lambda one: int(one.query == least)) == CHOICE
+
+
+def test_no_job_within_a_map_goes_before_one_between_maps() -> None:
+    pairs = [(kf("c", 0), kf("a", 0)), (kf("a", 90), kf("a", 0))]
+    pending = waiting(*pairs, graph=one_map())
+    assert pending.pop(lambda one: int(one.query.agent == "a")) == 0
+
+
+def test_the_most_useful_job_is_passed_over_only_so_often() -> None:
+    pending = waiting((kf("a", 999), kf("a", 0)), graph=one_map())
+    order = []
+    for number in range(1, 3 * CHOICE):
+        pending.add(number, job(kf("a", 500 - number), kf("a", 0)))
+        order.append(pending.pop(lambda one: int(one.query.seq != 999)))
+    assert order.index(0) == CHOICE
+
+
+@given(st.integers(0, 2**32))
+def test_whoever_chooses_every_job_is_taken_once(seed: int) -> None:
+    draw = random.Random(seed)
+    graph = LoopGraph()
+    pairs = [
+        (kf(draw.choice("abcd"), draw.randrange(60)), kf(draw.choice("abcd"), draw.randrange(60)))
+        for _ in range(40)
+    ]
+    pending = waiting(*pairs, graph=graph)
+    taken = []
+    while len(pending):
+        taken.append(pending.pop(lambda _: draw.randrange(3)))
+        graph.join(*pairs[draw.randrange(40)])
+    assert sorted(taken) == list(range(40))
