@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Generic, TypeVar
 
-from covinz.config import PlaceRecognitionConfig
+from covinz.config import PlaceRecognitionConfig, WorkerConfig
 from covinz.types import (
     JobPage,
     JobState,
@@ -67,12 +67,14 @@ class Dispatcher(Generic[Asker]):
     whatever stands for an open request.
     """
 
-    def __init__(self, config: PlaceRecognitionConfig, journal: Journal) -> None:
+    def __init__(
+        self, config: PlaceRecognitionConfig, workers: WorkerConfig, journal: Journal
+    ) -> None:
         self._config = config
         self._journal = journal
         self._waiters: dict[str, _Waiter[Asker]] = {}
         self._gone: dict[str, None] = {}
-        self._locality = Locality()
+        self._locality = Locality(workers.cache_keyframes)
         self._turned_away: list[Asker] = []
         # Empty until it is known whether the journal's log is still the one.
         self._log_id = ""

@@ -6,8 +6,6 @@ from collections import OrderedDict
 
 from covinz.types import KeyframeId, LoopJob
 
-# Keyframes of each worker that are remembered; about what it keeps itself.
-MAX_KEYFRAMES = 512
 # Workers that are remembered.
 MAX_WORKERS = 256
 
@@ -17,10 +15,14 @@ class Locality:
 
     A guess, good enough for the order of jobs: what a worker has dropped it fetches again.
 
+    Args:
+        capacity: Keyframes that a worker keeps.
+
     Source: decision 0036.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
         self._had: OrderedDict[str, OrderedDict[KeyframeId, None]] = OrderedDict()
 
     def lent(self, worker: str, job: LoopJob) -> None:
@@ -30,7 +32,7 @@ class Locality:
         for member in (*job.query_rig, *job.cand_rig):
             had[member.keyframe] = None
             had.move_to_end(member.keyframe)
-        while len(had) > MAX_KEYFRAMES:
+        while len(had) > self._capacity:
             had.popitem(last=False)
         if len(self._had) > MAX_WORKERS:
             self._had.popitem(last=False)

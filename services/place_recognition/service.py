@@ -65,7 +65,7 @@ def run(context: Context) -> None:
         path = context.data_dir / "place_recognition.sqlite"
         journal = rebuildable(path, lambda: Journal(path), DamagedFile)
         stack.enter_context(closing(journal))
-        dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, journal)
+        dispatcher: Dispatcher[Query] = Dispatcher(config.place_recognition, config.worker, journal)
         dead_letters = DeadLetters(store, config.loop_solver, context.data_dir, machine)
         stack.callback(dead_letters.close)
         desk = Desk(dispatcher, journal, context.bus, dead_letters.save)

@@ -245,6 +245,17 @@ def test_a_message_that_is_too_large_is_refused_and_harms_nobody(open_bus: OpenB
     assert asker.ask("covinz/length", b"still there") == [b"11"]
 
 
+def test_a_second_watcher_of_one_bus_sees_what_is_there(open_bus: OpenBus) -> None:
+    watcher, holder = open_bus(), open_bus()
+    first: queue.Queue[tuple[str, bool]] = queue.Queue()
+    second: queue.Queue[tuple[str, bool]] = queue.Queue()
+    watcher.watch_alive("covinz/agent/*/alive", lambda key, alive: first.put((key, alive)))
+    holder.declare_alive("covinz/agent/a/alive")
+    assert first.get(timeout=WAIT_S) == ("covinz/agent/a/alive", True)
+    watcher.watch_alive("covinz/agent/a/alive", lambda key, alive: second.put((key, alive)))
+    assert second.get(timeout=WAIT_S) == ("covinz/agent/a/alive", True)
+
+
 def test_tokens_are_seen_to_be_there_to_appear_and_to_vanish(open_bus: OpenBus) -> None:
     # Each watcher on a bus of its own: Zenoh tells all watchers of a session what is there when one
     # more begins, and that answer may overtake the end of a token.

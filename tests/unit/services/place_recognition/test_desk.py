@@ -11,7 +11,7 @@ import pytest
 
 from covinz import codec, keyexprs
 from covinz.bus import Query
-from covinz.config import PlaceRecognitionConfig
+from covinz.config import PlaceRecognitionConfig, WorkerConfig
 from covinz.durable import open_reader
 from covinz.memory_bus import Hub, InMemoryBus
 from covinz.service import Inbox
@@ -61,7 +61,7 @@ class Office:
         self.bus = stack.enter_context(closing(hub.join()))
         self.journal = stack.enter_context(closing(Journal(path)))
         config = PlaceRecognitionConfig(long_poll_s=5.0, max_attempts=1)
-        self.dispatcher: Dispatcher[Query] = Dispatcher(config, self.journal)
+        self.dispatcher: Dispatcher[Query] = Dispatcher(config, WorkerConfig(), self.journal)
         self.dispatcher.reset(LOG)
         self.desk = Desk(self.dispatcher, self.journal, self.bus)
         self.now_s = 0.0

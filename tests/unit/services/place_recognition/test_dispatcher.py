@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from covinz.config import PlaceRecognitionConfig
+from covinz.config import PlaceRecognitionConfig, WorkerConfig
 from covinz.types import (
     JobState,
     KeyframeId,
@@ -65,7 +65,7 @@ def desk(journal: Journal) -> Dispatcher[str]:
 
 
 def make(journal: Journal, num_jobs: int = 0) -> Dispatcher[str]:
-    desk: Dispatcher[str] = Dispatcher(CONFIG, journal)
+    desk: Dispatcher[str] = Dispatcher(CONFIG, WorkerConfig(), journal)
     desk.reset(LOG)
     for n in range(num_jobs):
         desk.add(job(n))
@@ -125,7 +125,7 @@ def test_an_outcome_ends_the_job(desk: Dispatcher[str]) -> None:
 def test_outcomes_before_the_log_is_known(desk: Dispatcher[str], journal: Journal) -> None:
     journal.commit()
     # A restart: the journal's log is the likely one, but not certain.
-    again: Dispatcher[str] = Dispatcher(CONFIG, journal)
+    again: Dispatcher[str] = Dispatcher(CONFIG, WorkerConfig(), journal)
     assert again.objection(LOG) is None
     assert again.objection("") is None
     assert isinstance(again.objection(OTHER_LOG), RetryAfter)
@@ -237,7 +237,7 @@ def test_a_dead_job_may_be_tried_again(journal: Journal) -> None:
 
 def test_too_many_jobs_are_shed_and_say_so(journal: Journal) -> None:
     config = CONFIG.model_copy(update={"max_pending_jobs": 10})
-    desk: Dispatcher[str] = Dispatcher(config, journal)
+    desk: Dispatcher[str] = Dispatcher(config, WorkerConfig(), journal)
     desk.reset(LOG)
     for n in range(10):
         desk.add(job(n))

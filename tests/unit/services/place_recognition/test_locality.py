@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 
 from covinz.types import KeyframeId, LoopJob, RigMember
-from services.place_recognition.locality import MAX_KEYFRAMES, MAX_WORKERS, Locality
+from services.place_recognition.locality import MAX_WORKERS, Locality
 
 SESSION = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+CAPACITY = 64
 
 
 def job(*seqs: int) -> LoopJob:
@@ -17,7 +18,7 @@ def job(*seqs: int) -> LoopJob:
 
 
 def test_a_worker_knows_the_keyframes_of_both_rigs_of_its_jobs() -> None:
-    locality = Locality()
+    locality = Locality(CAPACITY)
     locality.lent("one", job(1, 2, 3))
     assert locality.num_known("one", job(3, 4, 1)) == 2
     assert locality.num_known("one", job(4, 5)) == 0
@@ -25,7 +26,7 @@ def test_a_worker_knows_the_keyframes_of_both_rigs_of_its_jobs() -> None:
 
 
 def test_a_worker_that_vanished_knows_nothing() -> None:
-    locality = Locality()
+    locality = Locality(CAPACITY)
     locality.lent("one", job(1, 2))
     locality.lent("two", job(1, 2))
     locality.gone("one")
@@ -35,9 +36,9 @@ def test_a_worker_that_vanished_knows_nothing() -> None:
 
 
 def test_what_was_used_longest_ago_is_forgotten() -> None:
-    locality = Locality()
+    locality = Locality(CAPACITY)
     locality.lent("one", job(-1, -2))
-    for seq in range(0, MAX_KEYFRAMES - 2, 2):
+    for seq in range(0, CAPACITY - 2, 2):
         locality.lent("one", job(seq, seq + 1))
     locality.lent("one", job(-1, -2))  # used once more
     locality.lent("one", job(10_000, 10_001))
@@ -47,7 +48,7 @@ def test_what_was_used_longest_ago_is_forgotten() -> None:
 
 
 def test_of_too_many_workers_those_seen_longest_ago_are_forgotten() -> None:
-    locality = Locality()
+    locality = Locality(CAPACITY)
     for worker in range(MAX_WORKERS):
         locality.lent(f"worker-{worker}", job(1, 2))
     locality.lent("worker-0", job(1, 2))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from covinz import codec
 from covinz.bus import Query
-from covinz.config import Config, PlaceRecognitionConfig
+from covinz.config import Config, PlaceRecognitionConfig, WorkerConfig
 from covinz.keyframes import CameraNotFound, KeyframeNotFound
 from covinz.log_follower import LogReset
 from covinz.memory_bus import Hub
@@ -87,7 +87,7 @@ class Process:
         self.inbox = Inbox()
         config = PlaceRecognitionConfig(lease_s=60.0, max_pending_jobs=max_pending_jobs)
         journal = stack.enter_context(closing(Journal(path)))
-        self.dispatcher: Dispatcher[Query] = Dispatcher(config, journal)
+        self.dispatcher: Dispatcher[Query] = Dispatcher(config, WorkerConfig(), journal)
         bus = stack.enter_context(closing(Hub().join()))
         self.service = PlaceRecognition(
             "pr",
