@@ -89,7 +89,7 @@ DECODES ?= 1000000
 fuzz: setup
 	$(BIN)/python -m benchmarks.fuzz_decoding --decodes $(DECODES) --seed $(or $(SEED),0) --corpus tests/fuzz/corpus
 
-# What fifty robots and more workers make of two cores; takes the whole machine for five minutes.
+# What fifty robots and more workers make of two cores; takes the whole machine for a quarter of an hour.
 load: setup
 	$(BIN)/python -m benchmarks.load --json benchmarks/results/load.json >/dev/null
 	$(BIN)/python -m benchmarks.results_page

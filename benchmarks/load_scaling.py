@@ -48,7 +48,7 @@ def dispatch(recordings: Path, folder: Path, counts: Sequence[int] = (1, 8)) -> 
 
 
 def solving(
-    recordings: Path, folder: Path, rate_hz: float, counts: Sequence[int] = (1, 2), rounds: int = 3
+    recordings: Path, folder: Path, rate_hz: float, counts: Sequence[int] = (1, 2), rounds: int = 5
 ) -> dict[str, Any]:
     """Jobs a second from about the first outcome to the last one, all processes at work.
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import covinz_core
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.fleet import Fleet
 from covinz import frames
 from covinz.config import OdometryNoise
-from covinz.odometry import random_walk
 from covinz.types import Array, Camera, Features, FeatureType, Keyframe, KeyframeId
 
 KEYFRAMES = 41
@@ -102,6 +102,7 @@ def _walk(track: Track, rng: np.random.Generator) -> tuple[Array, Array]:
     heading = 0.0 if track.forward else rng.uniform(-np.pi, np.pi)
     yaw_rad = rng.normal(scale=np.deg2rad(2))
     true, odometry = [np.eye(4)], [np.eye(4)]
+    noise = covinz_core.OdometryNoise(**track.noise.model_dump())
     for _ in range(KEYFRAMES - 1):
         angle = heading + rng.normal(scale=0.3)
         direction = np.array([np.cos(angle), np.sin(angle), rng.normal(scale=0.2)])
@@ -109,7 +110,7 @@ def _walk(track: Track, rng: np.random.Generator) -> tuple[Array, Array]:
         turn[2] += yaw_rad
         moved = rng.uniform(0.12, 0.2) * direction / np.linalg.norm(direction)
         step = frames.transform(frames.so3_exp(turn), moved)
-        error = np.sqrt(np.diag(random_walk(step, track.noise))) * rng.normal(size=6)
+        error = np.sqrt(np.diag(covinz_core.random_walk(step, noise))) * rng.normal(size=6)
         true.append(true[-1] @ step)
         odometry.append(
             odometry[-1] @ step @ frames.transform(frames.so3_exp(error[:3]), error[3:])

@@ -10,6 +10,7 @@ NB_MODULE(_core, m) {
   covinz::BindLoopGeometry(m);
   covinz::BindMatching(m);
   covinz::BindFastLoop(m);
+  covinz::BindOdometry(m);
   covinz::BindPlaceRecognition(m);
   covinz::BindPoseGraph(m);
   covinz::BindRigNeighbours(m);

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include <nanobind/eigen/dense.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -20,15 +19,10 @@ using namespace nb::literals;
 namespace covinz {
 namespace {
 
-using InPoses = nb::ndarray<const double, nb::shape<-1, 4, 4>, nb::c_contig, nb::device::cpu>;
-
-std::vector<Eigen::Isometry3d> ToPoses(const InPoses& array) {
+std::vector<Eigen::Isometry3d> ToPoses(const std::vector<Eigen::Matrix4d>& matrices) {
   std::vector<Eigen::Isometry3d> poses;
-  poses.reserve(array.shape(0));
-  for (size_t i = 0; i < array.shape(0); ++i) {
-    poses.emplace_back(
-        Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data() + 16 * i));
-  }
+  poses.reserve(matrices.size());
+  for (const Eigen::Matrix4d& matrix : matrices) poses.emplace_back(matrix);
   return poses;
 }
 
@@ -65,8 +59,9 @@ void BindRigNeighbours(nb::module_& m) {
           "on its robot.\n\nRaises InvalidCamera for an unknown model or bad parameters.");
   m.def(
       "choose_rig",
-      [](const InPoses& T_odom_body, const std::vector<const CameraView*>& views, int reference,
-         int size, const RigNeighboursOptions& options) {
+      [](const std::vector<Eigen::Matrix4d>& T_odom_body,
+         const std::vector<const CameraView*>& views, int reference, int size,
+         const RigNeighboursOptions& options) {
         RigChoice choice = ChooseRig(ToPoses(T_odom_body), views, reference, size, options);
         return std::make_pair(std::move(choice.rows), choice.information);
       },
@@ -74,7 +69,7 @@ void BindRigNeighbours(nb::module_& m) {
       R"(The best rig around a keyframe by odometry and calibration: rows, information.
 
 Args:
-    T_odom_body: (N, 4, 4) odometry poses of keyframes of one session in order of time.
+    T_odom_body: N odometry poses (4, 4) of keyframes of one session in order of time.
     views: Their N cameras.
     reference: Row of the keyframe that the rig is for.
     size: Keyframes in the rig; all N where there are fewer.

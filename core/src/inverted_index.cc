@@ -8,6 +8,10 @@
 namespace covinz {
 namespace {
 
+// How many words before its turn what stands under a word is asked for, and how much of it.
+constexpr size_t kAhead = 8;
+constexpr int kLinesAhead = 4;
+
 void CheckLengths(size_t num_words, size_t num_codes) {
   if (num_words != num_codes) {
     throw std::invalid_argument("Inverted index: the numbers of words and codes differ");
@@ -31,6 +35,15 @@ inline __attribute__((always_inline)) size_t ScanPostings(const std::array<uint6
     if (num_hits == 0 || hits[num_hits - 1] != keyframes[i]) hits[num_hits++] = keyframes[i];
   }
   return num_hits;
+}
+
+// What a look at postings needs first; what follows the processor fetches by itself.
+template <typename Postings>
+inline void Prefetch(const Postings* postings) {
+  if (postings == nullptr) return;
+  const char* codes = reinterpret_cast<const char*>(postings->codes.data());
+  for (int line = 0; line < kLinesAhead; ++line) __builtin_prefetch(codes + 64 * line);
+  __builtin_prefetch(postings->keyframes.data());
 }
 
 // Versions of a function template cannot be chosen at run time, those of functions can.
@@ -79,12 +92,19 @@ template <size_t kWords>
 std::vector<float> BasicInvertedIndex<kWords>::Votes(const std::vector<uint32_t>& words,
                                                      const std::vector<Code>& codes) const {
   CheckLengths(words.size(), codes.size());
+  // Where to look for each code, all of it before the first look: they are all over the memory,
+  // which can be asked for several at once.
+  std::vector<const Postings*> found(words.size(), nullptr);
+  for (size_t i = 0; i < words.size(); ++i) {
+    const auto at = postings_.find(words[i]);
+    if (at != postings_.end()) found[i] = &at->second;
+  }
   std::vector<double> votes(size_, 0.0);
   std::vector<uint32_t> hits;
   for (size_t i = 0; i < words.size(); ++i) {
-    const auto found = postings_.find(words[i]);
-    if (found == postings_.end()) continue;
-    const Postings& postings = found->second;
+    if (i + kAhead < words.size()) Prefetch(found[i + kAhead]);
+    if (found[i] == nullptr) continue;
+    const Postings& postings = *found[i];
     if (hits.size() < postings.keyframes.size()) hits.resize(postings.keyframes.size());
     const size_t num_hits =
         FindHits(codes[i], postings.codes, postings.keyframes, max_hamming_, hits.data());

@@ -9,6 +9,8 @@
 #include <string>
 #include <tuple>
 
+#include "covinz/se3.h"
+
 namespace covinz {
 namespace {
 
@@ -36,11 +38,6 @@ struct Along {
     return {std::abs(metres - other.metres), std::abs(radians - other.radians)};
   }
 };
-
-double RotationAngle(const Eigen::Matrix3d& R) {
-  const Eigen::Vector3d axis(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1));
-  return std::atan2(axis.norm(), R.trace() - 1.0);
-}
 
 std::vector<Along> PathAlong(const std::vector<Eigen::Isometry3d>& T_odom_body) {
   std::vector<Along> along(T_odom_body.size());

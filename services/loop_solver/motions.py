@@ -10,11 +10,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import covinz_core
-import numpy as np
 
 from covinz.config import OdometryNoise
 from covinz.keyframes import KeyframeStore
-from covinz.odometry import motion_covariance
 from covinz.types import RigMember
 from services.loop_solver.rig import adjoint_cam_body
 
@@ -37,8 +35,9 @@ def rig_motions(
         a, b = members[earlier], members[later]
         covariance = b.motion_covariance
         if covariance is None:
-            T_odom_body = np.stack([a.T_odom_body, b.T_odom_body])
-            covariance = motion_covariance(T_odom_body, [None], noise)
+            usual = covinz_core.OdometryNoise(**noise.model_dump())
+            T_odom_body = [a.T_odom_body, b.T_odom_body]
+            covariance = covinz_core.motion_covariance(T_odom_body, [None], usual)
         # From the later body to its camera: that is where the core takes perturbations.
         to_camera = adjoint_cam_body(store.camera(b.camera_hash))
         seen = to_camera @ covariance @ to_camera.T

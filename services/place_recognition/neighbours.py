@@ -54,7 +54,11 @@ def core_options(rigs: RigConfig, fast: FastLoopConfig) -> Options:
 
 
 def choose(
-    T_odom_body: Array, cameras: Sequence[Camera], reference: int, size: int, options: Options
+    T_odom_body: Sequence[Array],
+    cameras: Sequence[Camera],
+    reference: int,
+    size: int,
+    options: Options,
 ) -> Choice:
     """The best rig around a keyframe.
 
@@ -63,7 +67,7 @@ def choose(
     count, not the odometry's frame.
 
     Args:
-        T_odom_body: (N, 4, 4) odometry poses of keyframes of one session in order of time.
+        T_odom_body: N odometry poses (4, 4) of keyframes of one session in order of time.
         cameras: Their N calibrations.
         reference: Row of the keyframe that the rig is for.
         size: Keyframes in the rig; all N where there are fewer.

@@ -73,7 +73,7 @@ class Recognizer:
             return []
         jobs = self._begin(kf.id.segment)
         track = self._tracks[kf.id.segment]
-        track.path.insert(kf)
+        track.path.insert(kf.id.seq, kf.stamp_ns, kf.T_odom_body, kf.covariance)
         descriptions = self._describe(kf)
         if descriptions:
             track.insert(kf)

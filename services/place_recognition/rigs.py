@@ -14,8 +14,6 @@ from functools import partial
 from itertools import pairwise
 from typing import Final, Generic, TypeVar
 
-import numpy as np
-
 from covinz.config import LoopSolverConfig, RigConfig
 from covinz.types import Camera, KeyframeId, LoopJob, RigMember
 from services.place_recognition.neighbours import choose, core_options
@@ -111,7 +109,7 @@ class RigRule:
         known = [camera for camera in cameras if camera is not None]
         if len(known) < len(around):
             return None
-        T_odom_body = np.stack([member.T_odom_body for member in around])
+        T_odom_body = [member.T_odom_body for member in around]
         reference = [member.keyframe for member in around].index(of)
         try:
             choice = choose(T_odom_body, known, reference, size, self._options)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from bisect import bisect_left, insort
 from dataclasses import dataclass
 
+import covinz_core
 import numpy as np
 from numpy.typing import NDArray
 
 from covinz.config import OdometryNoise
 from covinz.types import Array, Keyframe, KeyframeId, RigMember, SegmentId
-from services.place_recognition.odometry_path import OdometryPath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class Track:
 
     def __init__(self, segment: SegmentId, noise: OdometryNoise) -> None:
         self.segment = segment
-        self.path = OdometryPath(noise)
+        self.path = covinz_core.OdometryPath(covinz_core.OdometryNoise(**noise.model_dump()))
         self.seqs: list[int] = []
         self.slots: list[int] = []
         self._members: list[RigMember] = []

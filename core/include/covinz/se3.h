@@ -54,6 +54,12 @@ inline Eigen::Vector3d LogSO3(const Eigen::Quaterniond& q) {
 
 inline Eigen::Vector3d LogSO3(const Eigen::Matrix3d& R) { return LogSO3(Eigen::Quaterniond(R)); }
 
+// Angle of a rotation [rad] in [0, pi], by twice its sine and cosine: good at every angle.
+inline double RotationAngle(const Eigen::Matrix3d& R) {
+  const Eigen::Vector3d axis(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1));
+  return std::atan2(axis.norm(), R.trace() - 1.0);
+}
+
 // J_r: Exp(theta + d) = Exp(theta) * Exp(J_r d) to first order in d.
 inline Eigen::Matrix3d RightJacobianSO3(const Eigen::Vector3d& theta) {
   const double a2 = theta.squaredNorm();

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from covinz import frames
 from covinz.config import FastLoopConfig, OdometryNoise, RigConfig
 from covinz.types import Array, Camera
-from services.place_recognition.neighbours import choose, core_options
+from services.place_recognition import neighbours
+from services.place_recognition.neighbours import Choice, Options, core_options
 
 FAST = FastLoopConfig()
 DEFAULT = core_options(RigConfig(), FAST)
@@ -36,6 +37,12 @@ def poses(steps: list[tuple[list[float], list[float]]]) -> Array:
 
 def straight(count: int, step: list[float]) -> Array:
     return poses([(step, [0.0, 0.0, 0.0])] * (count - 1))
+
+
+def choose(
+    T_odom_body: Array, cameras: list[Camera], reference: int, size: int, options: Options
+) -> Choice:
+    return neighbours.choose(list(T_odom_body), cameras, reference, size, options)
 
 
 def others(T_odom_body: Array, reference: int, size: int, **rigs: Any) -> list[int]:

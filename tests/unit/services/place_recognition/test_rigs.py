@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from covinz.config import LoopSolverConfig, MatchingConfig, OdometryNoise, RigConfig
 from covinz.frames import transform
-from covinz.odometry import FLOOR
 from covinz.types import Array, Camera, Keyframe, KeyframeId, SegmentId
 from services.place_recognition.rigs import JobMint, Pair, Rig, RigRule, nearest, overlap
 from services.place_recognition.track import Track
@@ -18,6 +17,8 @@ from services.place_recognition.track import Track
 SEGMENT = SegmentId("a", "01ARZ3NDEKTSV4RRFFQ69G5FAV")
 OTHER = SegmentId("b", "01ARZ3NDEKTSV4RRFFQ69G5FAW")
 HASH = "0123456789abcdef"
+# What every covariance has at least: core/include/covinz/odometry.h.
+FLOOR = np.diag(np.repeat([1e-4**2, 1e-3**2], 3))
 # Looks sideways: bodies move along x.
 CAMERA = Camera("PINHOLE", 640, 480, np.array([500.0, 500.0, 319.5, 239.5]), np.eye(4))
 
@@ -38,7 +39,7 @@ def add(track: Track, seq: int, step_m: float = 0.08, covariance: Array | None =
     kf_id = KeyframeId(track.segment.agent, track.segment.session, seq)
     T_odom_body = transform(np.eye(3), [step_m * seq, 0.0, 0.0])
     kf = Keyframe(kf_id, 10_000_000 * seq, T_odom_body, HASH, None, covariance)
-    track.path.insert(kf)
+    track.path.insert(seq, kf.stamp_ns, T_odom_body, covariance)
     track.insert(kf)
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import covinz_core
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,11 +8,9 @@ from hypothesis import strategies as st
 
 from covinz.config import OdometryNoise
 from covinz.frames import so3_exp, transform
-from covinz.odometry import motion_covariance
 from covinz.types import Keyframe, KeyframeId
-from services.place_recognition.odometry_path import OdometryPath
 
-NOISE = OdometryNoise()
+NOISE = covinz_core.OdometryNoise(**OdometryNoise().model_dump())
 SENT = np.diag(np.arange(1.0, 7.0)) * 1e-5
 
 
@@ -21,10 +20,14 @@ def keyframe(seq: int) -> Keyframe:
     return Keyframe(kf_id, seq * 500_000_000, T_odom_body, "0" * 16, None, SENT)
 
 
-def path_of(seqs: list[int]) -> OdometryPath:
-    path = OdometryPath(NOISE)
+def insert(path: covinz_core.OdometryPath, kf: Keyframe) -> None:
+    path.insert(kf.id.seq, kf.stamp_ns, kf.T_odom_body, kf.covariance)
+
+
+def path_of(seqs: list[int]) -> covinz_core.OdometryPath:
+    path = covinz_core.OdometryPath(NOISE)
     for seq in seqs:
-        path.insert(keyframe(seq))
+        insert(path, keyframe(seq))
     return path
 
 
@@ -38,9 +41,9 @@ def test_order_of_arrival_leaves_no_trace(arrival: list[int]) -> None:
 @settings(max_examples=20)
 @given(st.permutations(range(8)))
 def test_what_was_asked_before_leaves_no_trace(arrival: list[int]) -> None:
-    asked = OdometryPath(NOISE)
+    asked = covinz_core.OdometryPath(NOISE)
     for count, seq in enumerate(arrival, start=1):
-        asked.insert(keyframe(seq))
+        insert(asked, keyframe(seq))
         known = sorted(arrival[:count])
         fresh = path_of(known)
         for one in known:
@@ -53,10 +56,10 @@ def test_what_was_asked_before_leaves_no_trace(arrival: list[int]) -> None:
 @settings(max_examples=20)
 @given(st.permutations(range(8)))
 def test_what_has_the_same_state_is_the_same(arrival: list[int]) -> None:
-    path = OdometryPath(NOISE)
+    path = covinz_core.OdometryPath(NOISE)
     found: dict[object, list[bytes]] = {}
     for count, seq in enumerate(arrival, start=1):
-        path.insert(keyframe(seq))
+        insert(path, keyframe(seq))
         known = sorted(arrival[:count])
         for at, last in enumerate(known):
             twists = [path.twists(one) for one in known[: at + 1]]
@@ -73,17 +76,18 @@ def test_keyframes_that_follow_later_change_no_state() -> None:
 
 
 def test_every_keyframe_between_counts() -> None:
-    T = np.stack([keyframe(seq).T_odom_body for seq in range(2, 6)])
+    T = [keyframe(seq).T_odom_body for seq in range(2, 6)]
     np.testing.assert_array_equal(
-        path_of(list(range(9))).covariance(2, 5), motion_covariance(T, [SENT] * 3, NOISE)
+        path_of(list(range(9))).covariance(2, 5),
+        covinz_core.motion_covariance(T, [SENT] * 3, NOISE),
     )
 
 
 def test_over_missing_keyframes_the_robot_said_nothing() -> None:
-    T = np.stack([keyframe(seq).T_odom_body for seq in (2, 3, 6)])
+    T = [keyframe(seq).T_odom_body for seq in (2, 3, 6)]
     np.testing.assert_array_equal(
         path_of([1, 2, 3, 6, 7]).covariance(2, 6),
-        motion_covariance(T, [SENT, None], NOISE),
+        covinz_core.motion_covariance(T, [SENT, None], NOISE),
     )
 
 
@@ -92,13 +96,12 @@ def test_a_keyframe_twice_is_an_error() -> None:
         path_of([1, 2, 1])
 
 
-def turning(turns_rad: list[float], stamps_ms: list[int]) -> OdometryPath:
+def turning(turns_rad: list[float], stamps_ms: list[int]) -> covinz_core.OdometryPath:
     """A body that moves ahead a centimetre a millisecond and turns about its z."""
-    path = OdometryPath(NOISE)
+    path = covinz_core.OdometryPath(NOISE)
     for seq, (turn_rad, stamp_ms) in enumerate(zip(turns_rad, stamps_ms, strict=True)):
         T = transform(so3_exp([0.0, 0.0, turn_rad]), [0.01 * stamp_ms, 0.0, 0.0])
-        kf = keyframe(seq)
-        path.insert(Keyframe(kf.id, 1_000_000 * stamp_ms, T, kf.camera_hash, None))
+        path.insert(seq, 1_000_000 * stamp_ms, T, None)
     return path
 
 
@@ -127,3 +130,11 @@ def test_odometry_that_jumps_is_no_robot() -> None:
     twists = turning([0.0, 3.0], [0, 5]).twists(0)
     assert twists is not None
     assert np.abs(twists).max() == pytest.approx(100.0)
+
+
+def test_what_was_never_inserted_is_an_error() -> None:
+    path = path_of([1, 2, 4])
+    for ask in (lambda: path.state(3), lambda: path.twists(3), lambda: path.covariance(1, 3)):
+        with pytest.raises(ValueError, match="3 is not logged"):
+            ask()
+    assert path.num_after(3) == 1
