@@ -11,6 +11,6 @@ void BindMatching(nanobind::module_& m);  // after BindLoopGeometry, whose Match
 void BindOdometry(nanobind::module_& m);
 void BindPlaceRecognition(nanobind::module_& m);
 void BindPoseGraph(nanobind::module_& m);
-void BindRigNeighbours(nanobind::module_& m);  // after BindLoopGeometry: InvalidCamera
+void BindRigNeighbours(nanobind::module_& m);  // after BindLoopGeometry and BindOdometry
 
 }  // namespace covinz

@@ -51,9 +51,9 @@ Args:
             path.Insert(seq, stamp_ns, Eigen::Isometry3d(T_odom_body), covariance);
           },
           "seq"_a, "stamp_ns"_a, "T_odom_body"_a, "covariance"_a.none(),
-          "Add a keyframe, with the covariance (6, 6) of the motion since seq - 1 as its robot "
+          "Add a keyframe, with the covariance (6, 6) of the motion since seq - 1 if its robot "
           "sent\n"
-          "it; raises ValueError when it is there already.")
+          "one; raises ValueError when it is there already.")
       .def("num_after", &OdometryPath::NumAfter, "seq"_a,
            "How many keyframes follow on a sequence number.")
       .def("state", &OdometryPath::State, "last"_a,
@@ -82,13 +82,15 @@ void BindOdometry(nb::module_& m) {
           [](OdometryNoise* self, double rotation_per_sqrt_m, double rotation_per_sqrt_rad,
              double translation_per_sqrt_m, double translation_per_sqrt_rad, double min_rotation,
              double min_translation) {
-            new (self) OdometryNoise{rotation_per_sqrt_m,    rotation_per_sqrt_rad,
-                                     translation_per_sqrt_m, translation_per_sqrt_rad,
-                                     min_rotation,           min_translation};
+            const OdometryNoise noise{rotation_per_sqrt_m,    rotation_per_sqrt_rad,
+                                      translation_per_sqrt_m, translation_per_sqrt_rad,
+                                      min_rotation,           min_translation};
+            noise.Check();
+            new (self) OdometryNoise(noise);
           },
           nb::kw_only(), "rotation_per_sqrt_m"_a, "rotation_per_sqrt_rad"_a,
           "translation_per_sqrt_m"_a, "translation_per_sqrt_rad"_a, "min_rotation"_a,
-          "min_translation"_a);
+          "min_translation"_a, "Raises ValueError for a value out of range.");
   m.def(
       "random_walk",
       [](const Eigen::Matrix4d& T_a_b, const OdometryNoise& noise) -> RowMajor6d {

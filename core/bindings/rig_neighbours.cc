@@ -39,12 +39,7 @@ void BindRigNeighbours(nb::module_& m) {
       .def_rw("max_path_m", &RigNeighboursOptions::max_path_m)
       .def_rw("min_steps", &RigNeighboursOptions::min_steps)
       .def_rw("max_error_px", &RigNeighboursOptions::max_error_px)
-      .def_rw("rotation_per_sqrt_m", &RigNeighboursOptions::rotation_per_sqrt_m)
-      .def_rw("rotation_per_sqrt_rad", &RigNeighboursOptions::rotation_per_sqrt_rad)
-      .def_rw("translation_per_sqrt_m", &RigNeighboursOptions::translation_per_sqrt_m)
-      .def_rw("translation_per_sqrt_rad", &RigNeighboursOptions::translation_per_sqrt_rad)
-      .def_rw("min_rotation", &RigNeighboursOptions::min_rotation)
-      .def_rw("min_translation", &RigNeighboursOptions::min_translation)
+      .def_rw("odometry", &RigNeighboursOptions::odometry)
       .def("check", &RigNeighboursOptions::Check, "Raises ValueError for a value out of range.");
   nb::class_<CameraView>(m, "CameraView", "What a calibration says of a camera's view.")
       .def(

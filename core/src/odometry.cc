@@ -1,6 +1,8 @@
 // Covariances of odometry's motions.
 #include "covinz/odometry.h"
 
+#include <stdexcept>
+
 #include <Eigen/Eigenvalues>
 
 namespace covinz {
@@ -22,6 +24,16 @@ Matrix6d WithBoundedVariances(const Matrix6d& covariance) {
 }
 
 }  // namespace
+
+void OdometryNoise::Check() const {
+  if (!(rotation_per_sqrt_m >= 0.0 && rotation_per_sqrt_rad >= 0.0 &&
+        translation_per_sqrt_m >= 0.0 && translation_per_sqrt_rad >= 0.0)) {
+    throw std::invalid_argument("Odometry: random walks must not be negative");
+  }
+  if (!(min_rotation > 0.0 && min_translation > 0.0)) {
+    throw std::invalid_argument("Odometry: floors must be positive");
+  }
+}
 
 Matrix6d RandomWalk(const Eigen::Isometry3d& T_a_b, const OdometryNoise& noise) {
   const double moved_m = T_a_b.translation().norm();

@@ -9,8 +9,6 @@
 #include <string>
 #include <tuple>
 
-#include "covinz/se3.h"
-
 namespace covinz {
 namespace {
 
@@ -78,9 +76,9 @@ Common CommonView(const CameraView& reference,
 
 // Part of the matches that stays inliers while odometry's rotation is taken as exact.
 double PartHeld(const Along& between, double focal_px, const RigNeighboursOptions& options) {
-  const double variance = std::pow(options.rotation_per_sqrt_m, 2) * between.metres +
-                          std::pow(options.rotation_per_sqrt_rad, 2) * between.radians +
-                          std::pow(options.min_rotation, 2);
+  const double variance = std::pow(options.odometry.rotation_per_sqrt_m, 2) * between.metres +
+                          std::pow(options.odometry.rotation_per_sqrt_rad, 2) * between.radians +
+                          std::pow(options.odometry.min_rotation, 2);
   return std::erf(options.max_error_px / (std::sqrt(2.0 * variance) * focal_px));
 }
 
@@ -153,9 +151,10 @@ int64_t Neighbourhood::Worth(int a, int b) const {
   const size_t i = Index(a);
   const size_t j = Index(b);
   const Along between = along_[i].From(along_[j]);
-  const double variance = std::pow(options_.translation_per_sqrt_m, 2) * between.metres +
-                          std::pow(options_.translation_per_sqrt_rad, 2) * between.radians +
-                          std::pow(options_.min_translation, 2);
+  const double variance =
+      std::pow(options_.odometry.translation_per_sqrt_m, 2) * between.metres +
+      std::pow(options_.odometry.translation_per_sqrt_rad, 2) * between.radians +
+      std::pow(options_.odometry.min_translation, 2);
   const double squared = (centres_m_[i] - centres_m_[j]).squaredNorm();
   return Quantised(std::min(shared_[i], shared_[j]) * squared / variance);
 }
@@ -263,10 +262,7 @@ void RigNeighboursOptions::Check() const {
   Require(max_path_m >= 0.0, "max_path_m must not be negative");
   Require(min_steps >= 0, "min_steps must not be negative");
   Require(max_error_px > 0.0, "max_error_px must be positive");
-  Require(rotation_per_sqrt_m >= 0.0 && rotation_per_sqrt_rad >= 0.0 &&
-              translation_per_sqrt_m >= 0.0 && translation_per_sqrt_rad >= 0.0,
-          "odometry's random walks must not be negative");
-  Require(min_rotation > 0.0 && min_translation > 0.0, "odometry's floors must be positive");
+  odometry.Check();
 }
 
 RigChoice ChooseRig(const std::vector<Eigen::Isometry3d>& T_odom_body,

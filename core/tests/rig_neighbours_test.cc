@@ -91,9 +91,7 @@ TEST(ChooseRig, AViewWithoutRaysTellsNothing) {
 
 TEST(ChooseRig, HugeInformationDoesNotOverflow) {
   RigNeighboursOptions options;
-  options.min_translation = options.min_rotation = 1e-12;
-  options.translation_per_sqrt_m = options.translation_per_sqrt_rad = 0.0;
-  options.rotation_per_sqrt_m = options.rotation_per_sqrt_rad = 0.0;
+  options.odometry = {0.0, 0.0, 0.0, 0.0, 1e-12, 1e-12};
   EXPECT_GT(Choose(Line({0.2, 0.2, 0.2, 0.2}), Pinhole(), 2, 5, options).information, 1e10);
 }
 
@@ -105,7 +103,7 @@ TEST(ChooseRig, WhatDoesNotFitIsAnError) {
   EXPECT_THROW(Choose(poses, view, -1, 2), std::invalid_argument);
   EXPECT_THROW(Choose(poses, view, 0, 0), std::invalid_argument);
   RigNeighboursOptions options;
-  options.min_translation = 0.0;
+  options.odometry.min_translation = 0.0;
   EXPECT_THROW(Choose(poses, view, 0, 2, options), std::invalid_argument);
 }
 

@@ -47,8 +47,7 @@ def core_options(rigs: RigConfig, fast: FastLoopConfig) -> Options:
         setattr(made, name, getattr(rigs, name))
     made.min_steps = MAX_RIG_SIZE - 1
     made.max_error_px = fast.max_error_px
-    for name, value in fast.odometry:
-        setattr(made, name, value)
+    made.odometry = covinz_core.OdometryNoise(**fast.odometry.model_dump())
     made.check()
     return made
 

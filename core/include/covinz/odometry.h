@@ -16,12 +16,14 @@ namespace covinz {
 // Accuracy of a front-end that nothing is known of: random walks with the metres and radians of a
 // path, and their floors [rad, m].
 struct OdometryNoise {
-  double rotation_per_sqrt_m;
-  double rotation_per_sqrt_rad;
-  double translation_per_sqrt_m;
-  double translation_per_sqrt_rad;
-  double min_rotation;
-  double min_translation;
+  double rotation_per_sqrt_m = 0.01;
+  double rotation_per_sqrt_rad = 0.02;
+  double translation_per_sqrt_m = 0.03;
+  double translation_per_sqrt_rad = 0.03;
+  double min_rotation = 0.002;
+  double min_translation = 0.003;
+
+  void Check() const;  // throws std::invalid_argument
 };
 
 // Nothing is measured better, however sure a front-end is of itself [rad, m]. Keeps covariances

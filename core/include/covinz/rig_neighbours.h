@@ -20,6 +20,7 @@
 #include <Eigen/Geometry>
 
 #include "covinz/camera_view.h"
+#include "covinz/odometry.h"
 
 namespace covinz {
 
@@ -38,13 +39,7 @@ struct RigNeighboursOptions {
   int min_steps = 4;
   // Matches stay inliers of a hypothesis up to this error [px].
   double max_error_px = 3.0;
-  // Odometry's accuracy: random walks with the metres and radians of a path, and their floors.
-  double rotation_per_sqrt_m = 0.01;
-  double rotation_per_sqrt_rad = 0.02;
-  double translation_per_sqrt_m = 0.03;
-  double translation_per_sqrt_rad = 0.03;
-  double min_rotation = 0.002;
-  double min_translation = 0.003;
+  OdometryNoise odometry;
 
   void Check() const;  // throws std::invalid_argument
 };

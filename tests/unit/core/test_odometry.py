@@ -130,3 +130,9 @@ def test_the_odometry_s_frame_does_not_matter() -> None:
         motion_covariance(T, steps), motion_covariance(moved, steps), rtol=1e-9,
         atol=1e-15,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("field", OdometryNoise.model_fields)
+def test_negative_noise_is_refused(field: str) -> None:
+    with pytest.raises(ValueError, match="Odometry"):
+        covinz_core.OdometryNoise(**{**NOISE.model_dump(), field: -1.0})
